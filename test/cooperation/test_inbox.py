@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from uav_vslam.cooperation.authentication import FleetKey
 from uav_vslam.cooperation.inbox import (
     AHEAD,
-    FUTURE_S,
     KEPT_PER_PEER,
     MAX_PEERS,
     MIN_DELAY_S,
@@ -21,7 +20,7 @@ from uav_vslam.cooperation.inbox import (
     SUPERSEDED,
     Inbox,
 )
-from uav_vslam.cooperation.sessions import HANDOVER_S
+from uav_vslam.cooperation.sessions import FUTURE_S, HANDOVER_S
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet
 from uav_vslam.types import LandmarkPacket
@@ -307,6 +306,45 @@ def test_a_stamp_far_ahead_is_refused(make_small_packet) -> None:
     ahead_ns = round(FUTURE_S * S_NS)
     assert offer(inbox, make_small_packet(2, stamp_ns=S_NS + ahead_ns + 1)) == "future"
     assert offer(inbox, make_small_packet(2, stamp_ns=S_NS + ahead_ns)) == ""
+
+
+@pytest.mark.parametrize("ahead_s", [60, -60, 10**8])
+def test_a_peer_whose_clock_is_far_off_is_used_as_it_arrives(make_small_packet, ahead_s: int) -> None:
+    inbox, began_s = Inbox("uav1"), 2 * 10**8
+    for sequence in range(1, 40):
+        now_ns = (began_s + sequence) * S_NS
+        assert hear(inbox, make_small_packet(sequence, stamp_ns=now_ns + ahead_s * S_NS), now_ns) == ""
+        assert sequence == 1 or inbox.newest("uav2", now_ns - S_NS).sequence == sequence - (ahead_s > 0)
+    farther_ns = (ahead_s + 12 if ahead_s > 0 else 12) * S_NS
+    assert offer(inbox, make_small_packet(40, stamp_ns=now_ns + farther_ns)) == "future"
+
+
+def test_packets_from_before_the_own_start_count_by_the_clock_of_those_after_it(make_small_packet) -> None:
+    inbox, ahead_s = Inbox("uav1"), 3600
+    assert [offer(inbox, make_small_packet(k, stamp_ns=(k + ahead_s) * S_NS)) for k in (1, 2)] == ["", ""]
+    assert hear(inbox, make_small_packet(3, stamp_ns=(3 + ahead_s) * S_NS), 3 * S_NS) == ""
+    assert inbox.newest("uav2", 2 * S_NS).sequence == 2
+    assert inbox.newest("uav2", 3 * S_NS).sequence == 3
+
+
+def test_a_peer_whose_clock_is_set_in_flight_is_used_again_after_a_silence(make_small_packet) -> None:
+    inbox, ahead_s = Inbox("uav1"), 0
+    reasons = []
+    for second in range(1, 20):
+        ahead_s = 60 if second > 5 else 0
+        reasons.append(hear(inbox, make_small_packet(second, stamp_ns=(second + ahead_s) * S_NS), second * S_NS))
+    silent = round(HANDOVER_S) - 1
+    assert reasons == [""] * 5 + ["future"] * silent + [""] * (14 - silent)
+
+
+def test_a_peer_is_used_on_when_the_own_clock_is_set_back(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    for second in (101, 102, 103):
+        assert hear(inbox, make_small_packet(second, stamp_ns=second * S_NS), second * S_NS) == ""
+    for second in (104, 105, 106):
+        now_ns = (second - 90) * S_NS
+        assert hear(inbox, make_small_packet(second, stamp_ns=second * S_NS), now_ns) == ""
+        assert inbox.newest("uav2", now_ns).sequence == second
 
 
 def test_packets_of_a_peer_that_is_ahead_are_kept_until_their_time_comes(make_small_packet) -> None:

@@ -283,6 +283,19 @@ def test_a_silent_peer_is_reported_until_it_is_received_again(fly: Callable[...,
         assert ("uav2" in flight.node.alarms) is expected
 
 
+def test_a_peer_whose_clock_is_an_hour_ahead_is_used_and_named(fly: Callable[..., Flight]) -> None:
+    flight, ahead_s = fly(), 3600
+    peer = flight.peer("wideband")
+    for second in (1, 2, 3):
+        flight.epoch(second)
+        peer.publish(flight.packet(second + ahead_s))
+        assert flight.spin(lambda: flight.newest_ns() == (second + ahead_s) * NS_PER_S)  # noqa: B023
+    (link,) = flight.epoch(4).peers
+    assert (link.packets_received, link.packets_used, list(link.drop_reasons)) == (3, 3, [])
+    assert link.age_s == pytest.approx(1.0)
+    assert "3600 s ahead" in flight.node.notes["clock/uav2"]
+
+
 def test_in_wideband_a_peer_gets_the_fused_estimate_of_its_landmarks(fly: Callable[..., Flight]) -> None:
     flight = fly("fusion.feedback:=true")
     feedback: list[LandmarkInformation] = []

@@ -24,7 +24,6 @@ KEPT_PER_PEER = 4  # recent packets, so that an epoch finds one that is old enou
 MOST_AHEAD = 16  # further ones of a peer that is ahead: with fewer, none would be left when its time comes
 MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that replays are deterministic
 MAX_PEERS = 64  # forged names must not fill the memory
-FUTURE_S = 10.0  # a packet whose stamp is further ahead of the own epochs is refused: no clock errs by so much
 NAMESAKE_S = 10.0  # one that is silent for so long has gone
 
 # Why a packet that was kept is dropped in the end.
@@ -70,12 +69,18 @@ class PeerRecord:
     sessions: Sessions | None = None
 
     @property
+    def ahead_ns(self) -> int:
+        """By which the peer's clock counts as ahead of the own one [ns]."""
+        return (self.sessions and self.sessions.ahead_ns) or 0
+
+    @property
     def waiting(self) -> int:
         """Number of packets that may still be used."""
         return len(self.unused)
 
     def keep(self, packet: LandmarkPacket, now_ns: int) -> None:
         """Keep a packet for the epochs after `now_ns` [ns]; the oldest make room, or what is too many ahead."""
+        now_ns += self.ahead_ns
         self.unused[packet.order] = SUPERSEDED if len(packet) else EMPTY
         _keep(packet, self.arrived, now_ns)
         if len(packet):  # an empty one, from a full link or an empty view, does not replace the one before
@@ -166,9 +171,9 @@ class Inbox:
         record.keep(packet, self.now_ns)
 
     def newest(self, peer: str, not_after_ns: int) -> LandmarkPacket | None:
-        """Return the peer's newest packet made at or before a stamp."""
+        """Return the peer's newest packet made at or before a stamp, of the own clock."""
         record = self.peers.get(peer)
-        old_enough = [p for p in record.packets if p.stamp_ns <= not_after_ns] if record else []
+        old_enough = [p for p in record.packets if p.stamp_ns - record.ahead_ns <= not_after_ns] if record else []
         return old_enough[-1] if old_enough else None
 
     def silent_s(self, peer: str) -> float:
@@ -186,9 +191,6 @@ class Inbox:
         self._verify(packet)
         if packet.vehicle == self._vehicle:
             self._refuse_namesake(packet)
-        if self.now_ns and packet.stamp_ns - self.now_ns > FUTURE_S * NS_PER_S:
-            ahead_s = (packet.stamp_ns - self.now_ns) / NS_PER_S
-            raise InvalidMessage("future", f"packet {packet.sequence} of {packet.source} is {ahead_s:.0f} s ahead")
         check_contents(packet)
 
     def _verify(self, packet: LandmarkPacket) -> None:
@@ -214,7 +216,7 @@ class Inbox:
         raise InvalidMessage("namesake", f"another vehicle called {self._vehicle} sends, session {packet.session}")
 
     def _enter(self, packet: LandmarkPacket, record: PeerRecord) -> None:
-        """Refuse a packet that was received before, superseded or withdrawn."""
+        """Refuse a packet that was received before, superseded or withdrawn, or of a time that can't be."""
         if record.sessions is None:
             record.sessions = Sessions(packet.session, packet.stamp_ns, self.now_ns)
         if record.sessions.add(packet, self.now_ns, proven=self._authentication.tag_bytes > 0):

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with the peers, as far as their packets show: keys that differ, and names that two vehicles have."""
+"""What is wrong with the peers, as far as their packets show: keys that differ, names of two vehicles, and clocks."""
 
 from uav_vslam.cooperation.inbox import Inbox
+from uav_vslam.types import NS_PER_S
 
 
 def peer_faults(inbox: Inbox) -> dict[str, str]:
@@ -15,6 +16,15 @@ def peer_faults(inbox: Inbox) -> dict[str, str]:
                 f"name, or packets are forged; session {record.sessions.current} is used"
             )
     return faults
+
+
+def clocks_ahead(inbox: Inbox) -> dict[str, str]:
+    """Return whose clock is far ahead in a line each, by subject; it costs nothing."""
+    ahead_s = {peer: record.ahead_ns / NS_PER_S for peer, record in sorted(inbox.peers.items()) if record.ahead_ns}
+    return {
+        f"clock/{peer}": f"the clock of {peer} is {by_s:.0f} s ahead: its packets are used as they arrive"
+        for peer, by_s in ahead_s.items()
+    }
 
 
 def namesake_fault(inbox: Inbox, vehicle: str) -> str:

@@ -6,6 +6,9 @@ forged number, or a second vehicle of the same name, finds the first one still s
 of the own epochs, which nobody else can set. When it has been set back, as that of a whole fleet is by a recording that
 begins again, earlier packets are no evidence: as at the start, the session received first counts at once.
 
+Vehicles need no common time: the clock of a computer without a network may be off by hours. A session whose stamps are
+far ahead from the start on, or after a silence, comes from such a clock, and its packets are used as they arrive.
+
 Of two sessions of one vehicle, all stamps of the earlier are before all of the later. Stamps that contradict this show
 two senders; the fusion node names them.
 """
@@ -16,6 +19,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.types import NS_PER_S, LandmarkPacket
 
 HANDOVER_S = 5.0
+FUTURE_S = 10.0  # stamps ahead of the own epochs by less wait for their time
 
 
 @dataclass(slots=True)
@@ -44,12 +48,14 @@ class Sessions:
         began_ns: stamp of its first packet [ns].
         received_ns: own time of its last packet [ns].
         rival: the last other one.
+        ahead_ns: by which the sender's clock counts as ahead of the own one; None while the own time is unknown [ns].
     """
 
     current: int
     began_ns: int
     received_ns: int
     rival: Rival | None = None
+    ahead_ns: int | None = None
 
     def add(self, packet: LandmarkPacket, now_ns: int, *, proven: bool) -> bool:
         """Record a packet's session; return whether it takes the place of the current one.
@@ -60,15 +66,17 @@ class Sessions:
             proven: the sender has proven its name, so that an earlier session can only be a repetition.
 
         Raises:
-            InvalidMessage: with reason stale_session or other_session, the packet does not count.
+            InvalidMessage: with reason stale_session, other_session or future, the packet does not count.
         """
+        silent = not 0 <= now_ns - self.received_ns < HANDOVER_S * NS_PER_S  # or the own time has been set back
         if packet.session == self.current:
+            self._follow_clock(packet, now_ns, silent=silent)
             self._add_current(packet, now_ns)
             return False
         later = packet.session > self.current
-        silent = not 0 <= now_ns - self.received_ns < HANDOVER_S * NS_PER_S  # or the own time has been set back
         if (later or not proven) and silent:
             self.current, self.began_ns, self.received_ns, self.rival = packet.session, packet.stamp_ns, now_ns, None
+            self._follow_clock(packet, now_ns, silent=True)
             return True
         self._add_rival(packet, now_ns)
         reason = "other_session" if later else "stale_session"
@@ -80,6 +88,21 @@ class Sessions:
         if rival is None or not rival.contradicts or now_ns - rival.received_ns > HANDOVER_S * NS_PER_S:
             return None
         return rival.session
+
+    def _follow_clock(self, packet: LandmarkPacket, now_ns: int, *, silent: bool) -> None:
+        """Find out how far the sender's clock is ahead, at the first packet and after a silence.
+
+        Raises:
+            InvalidMessage: the stamp is much farther ahead than those before.
+        """
+        if now_ns == 0:
+            return
+        ahead_ns, tolerated_ns = packet.stamp_ns - now_ns, FUTURE_S * NS_PER_S
+        if self.ahead_ns is None or silent:
+            self.ahead_ns = ahead_ns if ahead_ns > tolerated_ns else 0
+        elif ahead_ns - self.ahead_ns > tolerated_ns:
+            farther_s = (ahead_ns - self.ahead_ns) / NS_PER_S
+            raise InvalidMessage("future", f"packet {packet.sequence} of {packet.source} is {farther_s:.0f} s ahead")
 
     def _add_current(self, packet: LandmarkPacket, now_ns: int) -> None:
         self.received_ns = now_ns

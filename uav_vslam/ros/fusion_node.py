@@ -26,7 +26,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.peer_faults import namesake_fault, peer_faults
+from uav_vslam.cooperation.peer_faults import clocks_ahead, namesake_fault, peer_faults
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
@@ -222,6 +222,16 @@ class FusionNode(VehicleNode):
             self.notes["wire_sent_bytes_per_s"] = f"{status.wire_sent_bytes_per_s:.0f}"
         self.notes |= {f"received_bytes_per_s/{link.peer}": f"{link.received_bytes_per_s:.0f}" for link in status.peers}
         self.notes |= {f"packets/{link.peer}": account(link) for link in status.peers}
+        self._note_clocks()
+
+    def _note_clocks(self) -> None:
+        """Note whose clock is far ahead; log the onset."""
+        before, ahead = {name for name in self.notes if name.startswith("clock/")}, clocks_ahead(self._fusion.inbox)
+        for name in ahead.keys() - before:
+            self.get_logger().info(ahead[name])
+        for name in before - ahead.keys():
+            del self.notes[name]
+        self.notes |= ahead
 
     def _report_faults(self) -> None:
         """Report a radio that is down, silent peers, keys that differ and names of two vehicles; log the onset."""

@@ -78,6 +78,6 @@ class StatusReporter:
             drop_reasons=list(record.dropped),
             drop_counts=list(record.dropped.values()),
             common_landmarks=record.common_landmarks,
-            age_s=(stamp_ns - newest.stamp_ns) / NS_PER_S,
+            age_s=(stamp_ns + record.ahead_ns - newest.stamp_ns) / NS_PER_S,
             silent=self._fusion.inbox.silent_s(name) > self._exchange.settings.silent_after_s,
         )
