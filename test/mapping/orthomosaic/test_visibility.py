@@ -34,6 +34,18 @@ def test_seen_from_above_everything_is_visible_but_a_pits_edge_hides_its_floor()
     assert visible(RASTER, pit, np.array([15.0, 0.0, 300.0]))[np.abs(Y) < 1.5].mean() > 0.99
 
 
+def test_a_hill_higher_than_the_camera_hides_nothing_on_the_camera_s_other_side() -> None:
+    hill = np.where(X > 20.0, np.float32(15.0), FLAT)
+    seen = visible(RASTER, hill, np.array([10.0, 0.0, 8.0]))
+    assert seen[X < 19.5].all()
+
+
+def test_a_wall_hides_the_hill_behind_it_that_is_higher_than_the_camera() -> None:
+    heights = np.where(X > 20.0, np.float32(15.0), np.where((X > 14.0) & (X < 15.0), np.float32(9.0), FLAT))
+    seen = visible(RASTER, heights, np.array([10.0, 0.0, 4.0]))
+    assert not seen[(X > 20.5) & (np.abs(Y) < 5.0)].any()
+
+
 def test_unknown_heights_hide_nothing() -> None:
     heights = np.where(X > 10.0, np.float32(np.nan), FLAT)
     assert visible(RASTER, heights, np.array([0.0, 0.0, 30.0])).all()

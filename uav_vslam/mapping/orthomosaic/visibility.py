@@ -2,7 +2,7 @@
 """Which ground a camera sees past the things that stand on it.
 
 From each cell a path runs towards the camera, over the ground, in equal steps. The cell is hidden if the surface is
-higher somewhere along it than the ray to the camera. The walk ends where no ray is below the highest point.
+higher somewhere along it than the ray to the camera. The walk ends at the camera, or where the ray is above all.
 """
 
 import cv2
@@ -47,7 +47,8 @@ def _hidden(heights: NDArray[np.float32], x: Array, y: Array, camera_height_m: f
     towards_x = (-x / step_m).astype(np.float32) / np.maximum(away, 1e-6) * np.float32(step_m)
     towards_y = (-y[:, None] / step_m).astype(np.float32) / np.maximum(away, 1e-6) * np.float32(step_m)
     columns, rows = np.meshgrid(np.arange(len(x), dtype=np.float32), np.arange(len(y), dtype=np.float32))
-    length_m = np.minimum((highest - ground) / np.maximum(rise, 1e-6), away)  # beyond it, the ray passes over all
+    above_all_m = np.where(rise > 0.0, (highest - ground) / np.maximum(rise, 1e-6), np.inf)
+    length_m = np.minimum(above_all_m, away).astype(np.float32)
     hidden = np.zeros(heights.shape, bool)
     for step in range(1, int(np.ceil(float(length_m.max()) / step_m)) + 1):
         met = cv2.remap(
@@ -57,5 +58,6 @@ def _hidden(heights: NDArray[np.float32], x: Array, y: Array, camera_height_m: f
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         )
-        hidden |= met > ground + rise * np.float32(step * step_m) + np.float32(TOLERANCE_M)
+        walked_m = np.float32(step * step_m)
+        hidden |= (met > ground + rise * walked_m + np.float32(TOLERANCE_M)) & (walked_m <= length_m)
     return hidden & np.isfinite(heights)
