@@ -171,8 +171,17 @@ def test_a_strip_tells_the_slope_along_itself_only(flown: tuple[Array, Adjusted]
 def test_altitudes_that_drift_by_most_of_the_height_are_no_slope(flown: tuple[Array, Adjusted]) -> None:
     drifting = gps(flown[0]) + np.outer(np.arange(SIDE * SIDE), [0.0, 0.0, 2.0])
     errors, placement = slope_errors(flown[1], drifting, flown[0][:, 2])
-    assert not placement.believed
+    assert placement.altitudes_off_m == pytest.approx(12.5, abs=2.0)  # a quarter of the drift
     assert np.abs(errors).max() < 0.5
+
+
+def test_altitudes_that_drift_leave_the_positions_in_the_plane_to_be_used(flown: tuple[Array, Adjusted]) -> None:
+    drifting = gps(flown[0]) + np.outer(np.arange(SIDE * SIDE), [0.0, 0.0, 2.0])
+    drifting[7, 0] += 40.0
+    height_m, placement = placed(flown[1], drifting)
+    assert placement.believed
+    assert placement.wrong == (7,)
+    assert height_m == pytest.approx(HEIGHT_M, rel=0.02)
 
 
 def test_positions_on_both_sides_of_the_antimeridian_are_neighbours(flown: tuple[Array, Adjusted]) -> None:

@@ -55,6 +55,8 @@ class Placement:
         believed: GPS agrees with the pictures and took part in the adjustment; three positions are too few to tell.
         wrong: numbers of pictures whose single position is wrong.
         unrelated: there is GPS, but it is not used: its positions could as well be those of other pictures.
+        altitudes_off_m: median distance of altitudes by GPS that contradict the pictures and are not used, although
+            the positions in the plane are; None else.
     """
 
     scale: str
@@ -63,6 +65,7 @@ class Placement:
     believed: bool
     wrong: tuple[int, ...]
     unrelated: bool = False
+    altitudes_off_m: float | None = None
 
     @property
     def checked(self) -> bool:
@@ -111,8 +114,12 @@ def place(
     if datum is None or len(used) < FEWEST_POSITIONS:
         return _without_gps(flat, height_m, unrelated=False)
     adjusted = _by_gps(_sloping(flat, positions, used), positions, used, height_m)
+    altitudes_off_m = float(np.median(np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])))
+    altitudes_agree = altitudes_off_m <= VERTICAL_FACTOR * BELIEVED_M
+    if not altitudes_agree:
+        adjusted = _by_gps(flat, positions, used, height_m)
     checked = len(used) >= FEWEST_CHECKED
-    believed = checked and _off_m(adjusted, positions, used) <= BELIEVED_M
+    believed = checked and float(np.median(_distances(adjusted, positions, used)[used])) <= BELIEVED_M
     if checked and not believed and _shrunken(flat, positions[used], used):
         return _without_gps(flat, height_m, unrelated=True)
     if not believed:
@@ -120,14 +127,23 @@ def place(
     distance = _distances(adjusted, positions, used)
     wrong: tuple[int, ...] = ()
     if believed and height_m is None:
-        adjusted = _with_gps(adjusted, pictures, positions, distance[used], focal_known=focal_known)
+        adjusted = _with_gps(
+            adjusted, pictures, positions, distance[used], focal_known=focal_known, altitudes=altitudes_agree
+        )
         distance = _distances(adjusted, recorded, adjusted.used)
         bound = max(WRONG_M, WRONG_SIGMAS * robust_sigma(distance[used]))
         wrong = tuple(int(k) for k in adjusted.used if distance[k] > bound)
     ground = float(np.median(adjusted.scene.points[:, 2]))
     adjusted = replace(adjusted, scene=transformed(adjusted.scene, 1.0, np.eye(3), np.array([0.0, 0.0, -ground])))
     datum = replace(datum, altitude_m=datum.altitude_m + ground)
-    return adjusted, Placement("gps" if height_m is None else "height", datum, distance, believed, wrong)
+    return adjusted, Placement(
+        "gps" if height_m is None else "height",
+        datum,
+        distance,
+        believed,
+        wrong,
+        altitudes_off_m=altitudes_off_m if believed and not altitudes_agree else None,
+    )
 
 
 def _without_gps(adjusted: Adjusted, height_m: float | None, *, unrelated: bool) -> tuple[Adjusted, Placement]:
@@ -196,12 +212,6 @@ def _rise(centres: Array, positions: Array, sigma_m: float, ground_slope: Array)
     return np.asarray(x[1:])
 
 
-def _off_m(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> float:
-    """Return how far the positions typically are from the pictures' [m], an error of height counting less."""
-    rise = np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])
-    return max(float(np.median(_distances(adjusted, positions, used)[used])), float(np.median(rise)) / VERTICAL_FACTOR)
-
-
 def _gps_sigma(distances: Array) -> float:
     """Return the standard deviation of GPS along an axis that its distances show [m]."""
     return max(LEAST_SIGMA_M, float(np.median(distances)) / 1.1774)  # of a Rayleigh distribution
@@ -215,11 +225,17 @@ def _distances(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> 
 
 
 def _with_gps(
-    adjusted: Adjusted, pictures: Sequence[Picture], positions: Array, distance: Array, *, focal_known: bool
+    adjusted: Adjusted,
+    pictures: Sequence[Picture],
+    positions: Array,
+    distance: Array,
+    *,
+    focal_known: bool,
+    altitudes: bool,
 ) -> Adjusted:
-    """Adjust again with GPS, whose standard deviation is what its distances show."""
+    """Adjust again with GPS, whose standard deviation is what its distances show; its altitudes only if they agree."""
     sigma = _gps_sigma(distance)
-    level_known = _level_sigma(positions, sigma) <= LEVEL_SIGMA_RAD
+    level_known = altitudes and _level_sigma(positions, sigma) <= LEVEL_SIGMA_RAD
     vertical = VERTICAL_FACTOR * sigma if level_known else 1e6
     lenses, lens_sigmas = lens_priors(pictures, known=focal_known)
     priors = Priors(lenses, lens_sigmas, positions, np.array([sigma, sigma, vertical]))

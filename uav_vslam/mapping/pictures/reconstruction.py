@@ -95,8 +95,8 @@ def _warnings(pictures: Sequence[Picture], adjusted: Adjusted, placement: Placem
     missing = [picture.name for k, picture in enumerate(pictures) if k not in set(adjusted.used.tolist())]
     if missing:
         yield (
-            f"{len(missing)} of {len(pictures)} pictures left out, they share too little ground with the others: "
-            f"{listed(missing)}"
+            f"{len(missing)} of {len(pictures)} pictures left out, too few of their points are found in the others "
+            f"(blurred, too oblique, too little texture or overlap, or another place): {listed(missing)}"
         )
     yield from _about_focal(pictures, adjusted)
     yield from _about_gps(pictures, placement)
@@ -138,6 +138,11 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
         yield (
             f"GPS contradicts the pictures: it is {low:.0f}–{high:.0f} m (median {middle:.0f} m) off after the best "
             f"fit; {told} come from that fit alone, and are as uncertain"
+        )
+    if placement.altitudes_off_m is not None:
+        yield (
+            f"GPS altitudes contradict the pictures, by {placement.altitudes_off_m:.0f} m (median), and are not used; "
+            "the ground on average is made level, and the altitude of the map is uncertain"
         )
     if placement.wrong:
         named = [f"{pictures[k].name} ({placement.gps_m[k]:.0f} m)" for k in placement.wrong]
