@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from picture_folder import flight, render, write
+from PIL import Image
 
 from uav_vslam.cli.main import main
 
@@ -54,6 +56,16 @@ def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: 
     tree = json.loads((results / "map" / "map.json").read_text())
     assert tree["orthomosaic"]["width"] == figures["width"]
     assert (results / "map" / "orthomosaic.tif").is_file()
+
+
+def test_pictures_that_can_t_be_decoded_are_named_in_the_results(tmp_path: Path) -> None:
+    flown = flight(1, 3)
+    folder = write(render(flown), flown.names(), tmp_path / "pictures")
+    Image.fromarray(np.ones((48, 64), np.float32)).save(folder / "distance.tif")
+    assert main(["mosaic", str(folder), "--results", str(tmp_path / "results")]) == 0
+    results = tmp_path / "results" / "latest"
+    assert "left out, can't be decoded: distance.tif" in json.loads((results / "mosaic.json").read_text())["warnings"]
+    assert "distance.tif" in (results / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_folder_without_pictures_is_one_line_and_exit_code_2(

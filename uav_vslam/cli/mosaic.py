@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uav_vslam.cli.arguments import add_results, first_given, positive_number
-from uav_vslam.cli.messages import warn, warn_each
+from uav_vslam.cli.messages import warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -72,10 +72,10 @@ def run(args: argparse.Namespace) -> int:
     warn_each(folder.warnings)
     if args.method == "homography":
         return _chained(folder, args)
-    found = _reconstructed(folder, args)
+    found, undecoded = _reconstructed(folder, args)
     warn_each(found.warnings)
     with new_folder(args.results, args.name or f"{args.folder.resolve().name}_mosaic") as results:
-        figures = _write(found, [*folder.warnings, *found.warnings], args.pixel, results)
+        figures = _write(found, [*folder.warnings, *undecoded, *found.warnings], args.pixel, results)
         page = write_page([results])
     print_mosaic(figures)
     print(f"results: {results}")
@@ -83,7 +83,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
+def _reconstructed(folder: Folder, args: argparse.Namespace) -> tuple[Reconstruction, list[str]]:
+    """Return the reconstruction, and the warning, already printed, of pictures that can't be decoded."""
     from uav_vslam.errors import PictureError
     from uav_vslam.mapping.pictures.features import detect_all
     from uav_vslam.mapping.pictures.gps_positions import local_positions
@@ -93,8 +94,8 @@ def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
 
     with progress_bar("finding points", len(folder.pictures)) as advance:
         detected = detect_all(folder.pictures, on_picture=advance)
-    if detected.undecoded:
-        warn(f"left out, can't be decoded: {listed(detected.undecoded)}")
+    undecoded = [f"left out, can't be decoded: {listed(detected.undecoded)}"] if detected.undecoded else []
+    warn_each(undecoded)
     if len(detected.pictures) < FEWEST:
         raise PictureError(f"{len(detected.pictures)} pictures can be decoded; a mosaic needs {FEWEST} or more")
     pictures, features = detected.pictures, detected.features
@@ -102,7 +103,8 @@ def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
     sides = [max(picture.width, picture.height) for picture in pictures]
     with progress_bar("matching pairs", len(pairs)) as advance:
         matched = match_all(features, sides, pairs, on_pair=advance)
-    return reconstruct(pictures, features, matched, focal_known=args.focal_px is not None, height_m=args.height)
+    found = reconstruct(pictures, features, matched, focal_known=args.focal_px is not None, height_m=args.height)
+    return found, undecoded
 
 
 def _chained(folder: Folder, args: argparse.Namespace) -> int:

@@ -30,6 +30,7 @@ def rows(figures: Figures) -> list[tuple[str, str]]:
         ("Reprojection error, RMS (median)", f"{error['rms']:.2f} px ({error['median']:.2f} px)"),
         *((f"Focal length of {name}", _focal(camera)) for name, camera in figures["cameras"].items()),
         ("Height above ground, median", f"{figures['height_m']:.1f} {unit}"),
+        *([("Distance to GPS, median", f"{figures['gps']['median_m']:.1f} m")] if "gps" in figures else []),
         ("Ground sample distance", f"{figures['gsd_m']:.4f} {unit}"),
         ("Area, seen by two or more", f"{overlap['area_m2']:.0f} {unit}², {100 * overlap['share_twice']:.0f} %"),
         ("Pictures per place, mean", f"{overlap['mean_views']:.1f}"),
@@ -37,8 +38,6 @@ def rows(figures: Figures) -> list[tuple[str, str]]:
         ("Step of brightness at seams, median (90 %)", _step(seam)),
         ("Mosaic", f"{figures['width']}x{figures['height']} px of {figures['m_per_px']:.4g} {unit}"),
     ]
-    if "gps" in figures:
-        lines.insert(5, ("Distance to GPS, median", f"{figures['gps']['median_m']:.1f} m"))
     return lines
 
 

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.report.mosaic_table import rows
 from uav_vslam.report.page.page import write_page
 
 FIGURES = {
@@ -96,3 +97,10 @@ def test_figures_that_are_missing_or_damaged_are_an_error_that_says_where(mosaic
 def test_a_mosaic_has_a_page_of_its_own(mosaic: Path, tmp_path: Path) -> None:
     with pytest.raises(UavVslamError, match="is a mosaic, which has a page of its own"):
         write_page([tmp_path, mosaic])
+
+
+def test_the_distance_to_gps_stands_below_all_cameras() -> None:
+    camera = {"focal_px": 573.2, "focal_sigma_px": 8.3}
+    names = [name for name, _ in rows(FIGURES | {"cameras": {"A": camera, "B": camera}, "gps": {"median_m": 1.4}})]
+    at = names.index("Focal length of A")
+    assert names[at + 1 : at + 4] == ["Focal length of B", "Height above ground, median", "Distance to GPS, median"]
