@@ -16,6 +16,7 @@ from uav_vslam.mapping.pictures.lens import PARAMETERS, project
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
 from uav_vslam.mapping.pictures.placement import HEIGHT_WITHOUT_SCALE, Placement, levelled, place
 from uav_vslam.mapping.pictures.procedure import Adjusted
+from uav_vslam.mapping.pictures.robust_fits import ground_plane
 from uav_vslam.mapping.pictures.tracks import Tracks
 
 Array = NDArray[np.float64]
@@ -70,6 +71,13 @@ def placed(
     result, placement = place(adjusted, pictures, height_m=height_m, focal_known=True)
     scene = result.scene
     return float(np.median(scene.centres[:, 2]) - np.median(scene.points[:, 2])), placement
+
+
+def with_altitude(pictures: list[Picture], altitude_m: float) -> list[Picture]:
+    return [
+        replace(picture, position=replace(picture.position, height_m=altitude_m)) if picture.position else picture
+        for picture in pictures
+    ]
 
 
 def gps(positions: Array, sigma_m: float = 1.0) -> Array:
@@ -182,6 +190,21 @@ def test_altitudes_that_drift_leave_the_positions_in_the_plane_to_be_used(flown:
     assert placement.believed
     assert placement.wrong == (7,)
     assert height_m == pytest.approx(HEIGHT_M, rel=0.02)
+
+
+def test_one_altitude_for_all_pictures_does_not_tilt_the_ground(flown: tuple[Array, Adjusted]) -> None:
+    """Pictures that rise by 6 m were laid level, and the ground fell by as much."""
+    scene, tracks = flown[1].scene, flown[1].tracks
+    rising = scene.centres + np.outer(scene.centres[:, 0], [0.0, 0.0, 0.1])
+    points_cam = (scene.points[tracks.point] - rising[tracks.picture]) @ scene.R_cam_map[0].T  # all look straight down
+    seen = project(points_cam, np.repeat(scene.lenses, len(points_cam), 0))
+    climbing = replace(flown[1], scene=replace(scene, centres=rising), tracks=replace(tracks, pixels=seen))
+    pictures = with_altitude(pictures_at(gps(flown[0])), 350.0)
+    result, placement = place(climbing, pictures, height_m=None, focal_known=True)
+    assert placement.believed
+    assert placement.altitudes_equal
+    assert placement.altitudes_off_m is None
+    assert np.linalg.norm(ground_plane(result.scene.points)[0][:2]) < 0.01
 
 
 def test_positions_on_both_sides_of_the_antimeridian_are_neighbours(flown: tuple[Array, Adjusted]) -> None:

@@ -168,3 +168,8 @@ def test_positions_that_nothing_checks_are_told() -> None:
 def test_altitudes_alone_that_contradict_the_pictures_are_told() -> None:
     (text,) = _about_gps([], Placement("gps", Datum(47.0, 8.0, 400.0), np.full(9, 1.2), True, (), altitudes_off_m=28.0))
     assert text.startswith("GPS altitudes contradict the pictures, by 28 m (median), and are not used")
+
+
+def test_one_altitude_for_all_pictures_is_told() -> None:
+    (text,) = _about_gps([], Placement("gps", Datum(47.0, 8.0, 0.0), np.full(9, 1.2), True, (), altitudes_equal=True))
+    assert text.startswith("GPS altitudes are equal in all pictures")

@@ -57,6 +57,7 @@ class Placement:
         unrelated: there is GPS, but it is not used: its positions could as well be those of other pictures.
         altitudes_off_m: median distance of altitudes by GPS that contradict the pictures and are not used, although
             the positions in the plane are; None else.
+        altitudes_equal: GPS gives all pictures one altitude, which is no measurement and not used.
     """
 
     scale: str
@@ -66,6 +67,7 @@ class Placement:
     wrong: tuple[int, ...]
     unrelated: bool = False
     altitudes_off_m: float | None = None
+    altitudes_equal: bool = False
 
     @property
     def checked(self) -> bool:
@@ -116,7 +118,9 @@ def place(
     adjusted = _by_gps(_sloping(flat, positions, used), positions, used, height_m)
     altitudes_off_m = float(np.median(np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])))
     altitudes_agree = altitudes_off_m <= VERTICAL_FACTOR * BELIEVED_M
-    if not altitudes_agree:
+    altitudes_equal = len({position.height_m for k in used if (position := pictures[k].position)}) == 1
+    altitudes_used = altitudes_agree and not altitudes_equal
+    if not altitudes_used:
         adjusted = _by_gps(flat, positions, used, height_m)
     checked = len(used) >= FEWEST_CHECKED
     believed = checked and float(np.median(_distances(adjusted, positions, used)[used])) <= BELIEVED_M
@@ -128,7 +132,7 @@ def place(
     wrong: tuple[int, ...] = ()
     if believed and height_m is None:
         adjusted = _with_gps(
-            adjusted, pictures, positions, distance[used], focal_known=focal_known, altitudes=altitudes_agree
+            adjusted, pictures, positions, distance[used], focal_known=focal_known, altitudes=altitudes_used
         )
         distance = _distances(adjusted, recorded, adjusted.used)
         bound = max(WRONG_M, WRONG_SIGMAS * robust_sigma(distance[used]))
@@ -142,7 +146,8 @@ def place(
         distance,
         believed,
         wrong,
-        altitudes_off_m=altitudes_off_m if believed and not altitudes_agree else None,
+        altitudes_off_m=altitudes_off_m if believed and not (altitudes_agree or altitudes_equal) else None,
+        altitudes_equal=believed and altitudes_equal,
     )
 
 

@@ -144,6 +144,11 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
             f"GPS altitudes contradict the pictures, by {placement.altitudes_off_m:.0f} m (median), and are not used; "
             "the ground on average is made level, and the altitude of the map is uncertain"
         )
+    if placement.altitudes_equal:
+        yield (
+            "GPS altitudes are equal in all pictures, so they are no measurement and not used; the ground on average "
+            "is made level, and the altitude of the map is uncertain"
+        )
     if placement.wrong:
         named = [f"{pictures[k].name} ({placement.gps_m[k]:.0f} m)" for k in placement.wrong]
         yield f"single GPS positions are wrong and have no influence: {listed(named)}"
