@@ -17,7 +17,7 @@ from uav_vslam.cooperation.link import Link
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.packet import payload_bytes
 from uav_vslam.slam.saved_map import load_map
-from uav_vslam.types import LandmarkPacket, LinkEpoch, PoseEstimate
+from uav_vslam.types import NS_PER_S, LandmarkPacket, LinkEpoch, PoseEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +89,22 @@ def cooperate(
     if frames:
         air.deliver(max(stamp_ns for stamp_ns, _, _ in frames))
     return fleet
+
+
+def never_together(tracks: dict[str, VehicleTrack], configs: dict[str, VehicleConfig]) -> list[str]:
+    """Return, in a line each, which cooperating vehicles were never in flight at the same time by their stamps."""
+    spans = {
+        name: (track.outputs[0].report.pose.stamp_ns, track.outputs[-1].report.pose.stamp_ns)
+        for name, track in tracks.items()
+        if track.outputs and configs[name].fusion.mode != "none"
+    }
+    ordered = sorted(spans, key=lambda name: spans[name])
+    return [
+        f"{later} begins {(spans[later][0] - spans[earlier][1]) / NS_PER_S:.0f} s after the end of {earlier}, by their "
+        "stamps, so they exchange next to nothing; if they flew together, their clocks differ: shift the stamps of one"
+        for earlier, later in itertools.combinations(ordered, 2)
+        if spans[later][0] > spans[earlier][1]
+    ]
 
 
 def link_epoch(member: CooperativeTrack, stamp_ns: int) -> LinkEpoch:

@@ -13,6 +13,7 @@ from faulty import IMU, TRUTH, in_unit, later, never_turned
 from short_bag import before
 
 from uav_vslam.cli.main import main
+from uav_vslam.datasets.rosbag import topics_of
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.recordings.foreign import edited, rewritten, shifted
@@ -50,6 +51,19 @@ def test_vehicles_that_can_not_share_a_frame_are_warned_about(
     assert main(["run", str(flight), *changes]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if "map frame of their own" in line]
     assert [line.partition(" each")[0] for line in lines] == [f"{WARNING}uav1, uav2"] * count
+
+
+@pytest.mark.parametrize(("mode", "count"), [("wideband", 1), ("none", 0)])
+def test_vehicles_whose_clocks_are_an_hour_apart_are_warned_about(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], mode: str, count: int
+) -> None:
+    """Offline, packets are exchanged by stamps: their C-SLAM would be S-SLAM, without a word."""
+    own = [topic for topic in topics_of([flight]) if topic.startswith("/uav2/")]
+    bag = rewritten(flight, tmp_path / "apart", *(later(topic, 3600 * NS_PER_S) for topic in own))
+    arguments = ["--mode", mode, "--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
+    assert main(["run", str(bag), *arguments]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "clocks differ" in line]
+    assert [line.partition(" s after the end of uav1")[0] for line in lines] == [f"{WARNING}uav2 begins 3600"] * count
 
 
 def test_imu_readings_stamped_in_bursts_are_warned_about_once(

@@ -83,6 +83,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
+    from uav_vslam.fleet import never_together
     from uav_vslam.offline.flight import fly
     from uav_vslam.offline.result import flight_result
     from uav_vslam.report.page.page import NAME as PAGE_NAME
@@ -120,6 +121,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")
     _warn_of_doubts(result, truths)
+    warn_each(never_together(tracks, configs))
     for vehicle, track in tracks.items():
         warn_each(f"{vehicle}: {text}" for text in track.warnings)
     broken = sorted(track.broken for track in tracks.values() if track.broken)
