@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A smoothed map has the same landmarks in better places, with a covariance that covers their errors."""
 
+import copy
 import functools
 
 import numpy as np
 import pytest
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.offline.track import track_vehicle
+from uav_vslam.offline.track import smooth_track, track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkField, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
@@ -20,11 +21,20 @@ FRAMES = 48
 
 
 @functools.cache
-def mapped(seed: int, *, smoothing: bool = True) -> tuple[VehicleTrack, SavedMap, LandmarkField]:
+def flown(seed: int) -> tuple[VehicleTrack, VehicleTrack, LandmarkField]:
+    """Return a flight with the filter's map, the same flight smoothed, and what there is to map."""
     vehicle = simulate_vehicle(Scenario(vehicles=1, seed=seed, frames=FRAMES), 0)
     field = scatter_landmarks([vehicle])
     config = VehicleConfig(imu=vehicle.scenario.imu_config)
-    track = track_vehicle(SimulatedSource(vehicle, field), config, keep_map=True, smoothing=smoothing)
+    causal = track_vehicle(SimulatedSource(vehicle, field), config, keep_features=True, keep_map=True)
+    smoothed = copy.copy(causal)
+    smooth_track(smoothed, vehicle.rig, config)
+    return causal, smoothed, field
+
+
+def mapped(seed: int, *, smoothing: bool = True) -> tuple[VehicleTrack, SavedMap, LandmarkField]:
+    causal, smoothed, field = flown(seed)
+    track = smoothed if smoothing else causal
     assert track.saved_map is not None
     return track, track.saved_map, field
 
