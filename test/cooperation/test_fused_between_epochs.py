@@ -9,7 +9,7 @@ import pytest
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fused_pose import move, propagated
-from uav_vslam.fleet import cooperate
+from uav_vslam.fleet import CooperativeTrack, cooperate
 from uav_vslam.numerics import symmetrise
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
@@ -25,11 +25,12 @@ LARGEST_MEAN = 1.6  # position NEES per axis: 99.9 % of chi-square over the 6 ve
 
 
 @functools.cache
-def flown(seed: int) -> tuple[dict[str, SimulatedVehicle], dict[str, VehicleTrack]]:
+def flown(seed: int) -> tuple[dict[str, SimulatedVehicle], dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
     fleet = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], frames=FRAMES, seed=seed))
     landmarks = scatter_landmarks(fleet)
     config = VehicleConfig(imu=fleet[0].scenario.imu_config)
-    return {v.name: v for v in fleet}, {v.name: track_vehicle(SimulatedSource(v, landmarks), config) for v in fleet}
+    tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks), config) for v in fleet}
+    return {v.name: v for v in fleet}, tracks, cooperate(tracks, dict.fromkeys(tracks, VehicleConfig()))
 
 
 def fixed(own: PoseEstimate, vehicle: SimulatedVehicle, rng: np.random.Generator) -> PoseEstimate:
@@ -51,8 +52,7 @@ def test_a_correction_of_the_own_filter_leaves_the_fused_claim_true(after_frames
     """Each epoch of each flight once more, with a correction so many frames after it."""
     found, sigma_m = [], []
     for seed in SEEDS:
-        vehicles, tracks = flown(seed)
-        fleet = cooperate(tracks, dict.fromkeys(tracks, VehicleConfig()))
+        vehicles, tracks, fleet = flown(seed)
         rng = np.random.default_rng(seed)
         for name, track in tracks.items():
             at = [k for k, output in enumerate(track.outputs) if output.joint is not None and k > FRAMES // 2]
@@ -68,8 +68,7 @@ def test_a_correction_of_the_own_filter_leaves_the_fused_claim_true(after_frames
 def test_the_fused_claim_is_as_true_between_epochs_as_at_them() -> None:
     at, between = [], []
     for seed in SEEDS:
-        vehicles, tracks = flown(seed)
-        fleet = cooperate(tracks, dict.fromkeys(tracks, VehicleConfig()))
+        vehicles, tracks, fleet = flown(seed)
         for name, track in tracks.items():
             for output, pose in zip(track.outputs, fleet[name].poses, strict=True):
                 (at if output.joint is not None else between).append(nees(pose, vehicles[name]))

@@ -2,6 +2,7 @@
 """Tracks through the back end: each view is used once, and the present has them all."""
 
 import copy
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +32,13 @@ def backend_of(flight, **changes) -> SlamBackend:
 
 def fly(flight, backend: SlamBackend) -> list[FrameReport]:
     return [backend.process(*frame) for frame in flight.frames]
+
+
+@pytest.fixture(scope="module")
+def flights(flown) -> list[tuple[Any, list[FrameReport]]]:
+    """Twenty flights with the settings as they are, and their reports."""
+    seeds = (flown(100 + seed, frames=FRAMES, tracked_px=SIGMA_PX / 2) for seed in range(20))
+    return [(flight, fly(flight, backend_of(flight))) for flight in seeds]
 
 
 def position_errors(flight, reports: list[FrameReport]) -> NDArray[np.float64]:
@@ -111,11 +119,9 @@ def test_every_view_of_a_track_is_used_once(flown, monkeypatch) -> None:
     assert len(backend._filter.past) <= WINDOW
 
 
-def test_tracks_alone_locate_the_vehicle_and_the_covariance_is_honest(flown) -> None:
+def test_tracks_alone_locate_the_vehicle_and_the_covariance_is_honest(flights) -> None:
     errors, nees = [], []
-    for seed in range(20):
-        flight = flown(100 + seed, frames=FRAMES, tracked_px=SIGMA_PX / 2)
-        reports = fly(flight, backend_of(flight))
+    for flight, reports in flights:
         assert not any(report.coasted for report in reports[2:])
         error = position_errors(flight, reports)
         errors.append(np.linalg.norm(error[-1]))
@@ -164,11 +170,9 @@ def test_the_state_and_the_window_stay_bounded(flown) -> None:
     assert sizes[-5:] == [WINDOW] * 5
 
 
-def test_motion_between_poses_that_leave_the_window_is_better_than_between_present_ones(flown) -> None:
+def test_motion_between_poses_that_leave_the_window_is_better_than_between_present_ones(flights) -> None:
     causal, smoothed, nees = [], [], []
-    for seed in range(12):
-        flight = flown(200 + seed, frames=FRAMES, tracked_px=SIGMA_PX / 2)
-        reports = fly(flight, backend_of(flight))
+    for flight, reports in flights:
         leaving = [report.smoothed for report in reports if report.smoothed is not None]
         assert [pose.stamp_ns for pose in leaving] == [r.pose.stamp_ns for r in reports][: FRAMES - WINDOW]
         truth = flight.vehicle.truth.position(flight.vehicle.frame_times_s)
