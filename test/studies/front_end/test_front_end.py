@@ -10,10 +10,11 @@ import pytest
 
 from uav_vslam.cli.main import main
 from uav_vslam.evaluation.output import LATEST
-from uav_vslam.simulation import camera_render
+from uav_vslam.simulation import camera_render, faults
 from uav_vslam.simulation.faults import FAULTS
-from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle
 from uav_vslam.simulation.terrain import ground_of
+from uav_vslam.types import StereoFrame
 
 pytestmark = pytest.mark.slow
 KLT = "frontend.method=klt,frontend.search_scale=1.0,frontend.max_tracks=100"
@@ -26,6 +27,21 @@ def one_ground() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(camera_render, "ground_of", lambda scenario: ground)
         yield
+
+
+@pytest.fixture
+def one_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every fault meets the same images, which need not be rendered for each; nobody may change them."""
+    known: dict[Scenario, list[StereoFrame]] = {}
+
+    def rendered(vehicle: SimulatedVehicle) -> list[StereoFrame]:
+        if vehicle.scenario not in known:
+            known[vehicle.scenario] = list(camera_render.RenderedFlight(vehicle))
+            for frame in known[vehicle.scenario]:
+                frame.left.flags.writeable = frame.right.flags.writeable = False
+        return known[vehicle.scenario]
+
+    monkeypatch.setattr(faults, "RenderedFlight", rendered)
 
 
 def rows_of(results: Path, *arguments: str) -> list[dict[str, Any]]:
@@ -49,6 +65,7 @@ def test_the_study_of_front_ends_judges_points_and_flies_them(tmp_path: Path) ->
     assert "end_rms_m" not in unequal
 
 
+@pytest.mark.usefixtures("one_rendering")
 def test_the_study_of_faults_flies_through_each_and_tells_what_was_said(tmp_path: Path) -> None:
     rows = rows_of(tmp_path, "faults", "--frames", "14")
     assert (tmp_path / LATEST / "faults.png").exists()
