@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from flown_copy import copy_of
 
 from uav_vslam.config import InputConfig, VehicleConfig
 from uav_vslam.errors import BagError
@@ -56,8 +57,9 @@ def flown_until_it_happens(seed: int, policy: str) -> tuple[VehiclePipeline, tup
 def fly(vehicle: SimulatedVehicle, events: Sequence[Event], policy: str = "bridge") -> VehicleTrack:
     pipeline, had = flown_until_it_happens(vehicle.scenario.seed, policy)
     if all(a is b for a, b in zip(events, had, strict=False)):
-        unused = pipeline._frontend  # there are no images, and OpenCV's detectors can't be copied
-        pipeline, events = copy.deepcopy(pipeline, {id(unused): unused}), events[len(had) :]
+        unused, stage = pipeline._frontend, pipeline._slam
+        copied = {id(unused): unused, id(stage): copy_of(stage)}  # no images; OpenCV's detectors can't be copied
+        pipeline, events = copy.deepcopy(pipeline, copied), events[len(had) :]
     else:
         pipeline = ready(vehicle, policy)
     for _ in pipeline.run(events):

@@ -2,9 +2,11 @@
 """IMU biases that step in flight are noticed, named, and do not make the filter confidently wrong."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from flown_copy import copy_of
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.estimation.models import MODELS
@@ -13,7 +15,7 @@ from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import corrected
 from uav_vslam.slam.backend import SKIPPED_IDS
 from uav_vslam.slam.bias_steps import SETTLED_S, correction
-from uav_vslam.slam.stage import FrameOutput
+from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 
 FRAMES, FIRST, SIGMA_PX = 76, 50, 0.05
@@ -28,17 +30,28 @@ def stepped(increment: ImuIncrement, gyro: np.ndarray, accel: np.ndarray) -> Imu
     return dataclasses.replace(increment, **dict(zip(("delta_R", "delta_v", "delta_p"), deltas, strict=True)))
 
 
-def outputs_of(
-    flight, kind: str, *, frames: int = FRAMES, blank: range = range(0), lost: range = range(0)
-) -> list[FrameOutput]:
-    """Return the outputs of a flight whose biases step at frame `FIRST`.
+Flying = tuple[SlamStage, list[FrameOutput]]  # a stage, and its outputs so far
+
+
+@pytest.fixture(scope="module")
+def begun(flown) -> Callable[[], Flying]:
+    """What returns the flight up to the step; each kind of step goes on with a copy."""
+    flight = flown(320, frames=FRAMES, tracked_px=SIGMA_PX)
+    stage, outputs = flight.tracking_stage(SIGMA_PX), list[FrameOutput]()
+    fly((stage, outputs), flight, range(FIRST), "gyro")
+    return lambda: (copy_of(stage), outputs.copy())
+
+
+def fly(flying: Flying, flight, frames: range, kind: str, *, blank: range = range(0), lost: range = range(0)) -> None:
+    """Fly on with biases that step at frame `FIRST`.
 
     The frames `blank` show nothing; the frames `lost` are missing, and the readings up to the next one.
     """
-    stage, outputs, (gyro, accel) = flight.tracking_stage(SIGMA_PX), list[FrameOutput](), np.array(STEPS[kind])
-    for k, (features, increment) in enumerate(flight.frames[:frames]):
+    (stage, outputs), (gyro, accel) = flying, np.array(STEPS[kind])
+    for k in frames:
         if k in lost:
             continue
+        features, increment = flight.frames[k]
         stage.add_features(StereoFeatures.empty(features.stamp_ns) if k in blank else features)
         if k == lost.stop and lost:
             before = dataclasses.replace(flight.vehicle.initial.state, stamp_ns=outputs[-1].report.pose.stamp_ns)
@@ -46,15 +59,16 @@ def outputs_of(
         if increment is not None:
             stage.add_increment(stepped(increment, gyro, accel) if k >= FIRST else increment)
         outputs += stage.run()
-    return outputs
 
 
 @pytest.mark.parametrize(("kind", "lost"), [("gyro", range(0)), ("accel", range(0)), ("gyro", GAP)])
-def test_a_step_is_noticed_and_costs_nothing_for_long(flown, kind: str, lost: range) -> None:
+def test_a_step_is_noticed_and_costs_nothing_for_long(flown, begun, kind: str, lost: range) -> None:
     """The position NEES per axis used to be above 100 for the rest of the flight."""
     flight, step = flown(320, frames=FRAMES, tracked_px=SIGMA_PX), np.array(STEPS[kind])
     assert flight.frames[FIRST][0].stamp_ns - flight.frames[0][0].stamp_ns > (SETTLED_S + 1.0) * NS_PER_S
-    outputs = outputs_of(flight, kind, lost=lost)
+    flying = (flight.tracking_stage(SIGMA_PX), []) if lost else begun()
+    fly(flying, flight, range(0 if lost else FIRST, FRAMES), kind, lost=lost)
+    outputs = flying[1]
     recoveries = [k for k, output in enumerate(outputs) if output.report.recovery]
     assert FIRST < recoveries[0] + len(lost) <= FIRST + NOTICED
     assert "biases have stepped" in outputs[recoveries[0]].warnings[-1]
@@ -65,10 +79,12 @@ def test_a_step_is_noticed_and_costs_nothing_for_long(flown, kind: str, lost: ra
     np.testing.assert_allclose(after.accel_bias - before.accel_bias, step[1], atol=0.05)
 
 
-def test_a_step_is_noticed_among_frames_that_show_nothing(flown) -> None:
+def test_a_step_is_noticed_among_frames_that_show_nothing(flown, begun) -> None:
     """None is left out when they are used once more; identifiers leave room for a restart from a checkpoint."""
     flight = flown(320, frames=FRAMES, tracked_px=SIGMA_PX)
-    outputs = outputs_of(flight, "gyro", frames=FIRST + NOTICED + 1, blank=range(FIRST, FRAMES, 6))
+    flying = begun()
+    fly(flying, flight, range(FIRST, FIRST + NOTICED + 1), "gyro", blank=range(FIRST, FRAMES, 6))
+    outputs = flying[1]
     found = [k for k, output in enumerate(outputs) if "biases have stepped" in output.report.recovery]
     assert found
     assert found[0] > FIRST
