@@ -34,7 +34,8 @@ def test_a_cut_runs_as_it_is(bag: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert "A cut hides: " in printed
     fleet = tmp_path / "pair" / "fleet.yaml"
     assert f"uav-vslam run {fleet}" in printed
-    assert main(["run", str(fleet), "--results", str(tmp_path), "--workers", "1", "--no-plots"]) == 0
+    options = ["--workers", "1", "--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path)]
+    assert main(["run", str(fleet), *options]) == 0
     summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
     for name in ("uav1", "uav2"):
         assert summary["vehicles"][name]["frames_processed"] >= 11
