@@ -10,7 +10,6 @@ import dataclasses
 import runpy
 import signal
 import subprocess
-import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -56,7 +55,7 @@ HONEST, MIRROR = "uav2", "uav4"
 PEERS = (HONEST, "uav3", MIRROR)
 TOPICS = (*map(packets_of, PEERS), feedback_to("uav1"))  # all that the vehicle receives from others
 KEY = b"k" * 32
-SETTLE_S = 1.5  # wall time until what was counted last is in the diagnostics
+SETTLED = 2  # diagnostics after the flight: the first may have been on its way when the last packet was counted
 
 
 @dataclasses.dataclass
@@ -113,7 +112,7 @@ class Attacker:
         self._waiting: list[bytes] = []
         self._unanswered: list[Odometry] = []
         self._mirrored: LandmarkInformation | None = None
-        self._frames = self.sent = 0
+        self._frames = self.sent = self.reports = 0
         self.dropped: Counter[str] = Counter()
         node.create_subscription(Odometry, "/uav1/odometry", self._on_frame, STATE)
         node.create_subscription(LandmarkInformation, packets_of("uav1"), self._on_packet, RADIO["wideband"])
@@ -150,6 +149,7 @@ class Attacker:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == "uav1: fusion":
+                self.reports += 1
                 values = {entry.key: entry.value for entry in status.values}
                 counts = {key: int(value) for key, value in values.items() if key.startswith("dropped/")}
                 self.dropped = Counter({key.removeprefix("dropped/"): count for key, count in counts.items()})
@@ -190,9 +190,10 @@ def fly(bag: Path, folder: Path, honest: list[bytes], hostile: list[list[bytes]]
         try:
             attacker = Attacker(node, honest, hostile)
             with running([replay], folder, domain_id) as last:
-                (replaying,) = last.values()
+                (replaying,), fusion = last.values(), processes["fusion"]
                 spin(executor, attacker.step, lambda: replaying.poll() is not None)
-                spin(executor, attacker.step, after(SETTLE_S))
+                enough = attacker.reports + SETTLED
+                spin(executor, attacker.step, lambda: attacker.reports >= enough or fusion.poll() is not None)
                 for process in processes.values():
                     process.send_signal(signal.SIGINT)
                 codes = {name: end_of(process, folder / f"{name}.log") for name, process in (processes | last).items()}
@@ -220,11 +221,6 @@ def spin(executor: Any, step: Callable[[], None], done: Callable[[], bool]) -> N
     while not done():
         step()
         executor.spin_once(timeout_sec=PAUSE_S)
-
-
-def after(duration_s: float) -> Callable[[], bool]:
-    end_s = time.monotonic() + duration_s
-    return lambda: time.monotonic() >= end_s
 
 
 @pytest.fixture(scope="module")
