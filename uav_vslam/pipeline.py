@@ -13,7 +13,7 @@ from uav_vslam.ins.outliers import OUTLIER, OutlierFilter
 from uav_vslam.ins.preintegrator import ImuPreintegrator
 from uav_vslam.ins.sensor_clock import bridges, sensor_time_line
 from uav_vslam.ins.sensor_lag import IMAGES, IMU
-from uav_vslam.slam.saved_map import SavedMap
+from uav_vslam.slam.saved_map import Mapped, SavedMap
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.stamps import Admitted
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
@@ -76,7 +76,7 @@ class VehiclePipeline:
         """Start at a state; with `start.method: in_flight` it may be None and is estimated.
 
         The track keeps its features, for pictures and smoothing, if asked to: some 10 kB a frame. With `keep_map`
-        all landmarks are collected for `saved_map`.
+        all landmarks are collected for `mapped`.
         """
         self._keep_features = keep_features
         self._frontend = make_frontend(rig, config.frontend, config.rig)
@@ -97,9 +97,9 @@ class VehiclePipeline:
         """Reason for the missing start state; empty once there is one."""
         return self._slam.missing_start
 
-    def saved_map(self) -> SavedMap:
+    def mapped(self) -> Mapped:
         """Return all landmarks mapped until the last epoch."""
-        return self._slam.saved_map()
+        return self._slam.mapped()
 
     def run(self, events: Iterable[ImuSample | StereoFrame | StereoFeatures]) -> Iterator[FrameOutput]:
         """Feed sensor data in stamp order and yield each frame's output as soon as it is complete.

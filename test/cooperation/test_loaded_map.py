@@ -12,7 +12,7 @@ from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.fleet import Air, LinkTransport, Sent
 from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet
-from uav_vslam.slam.saved_map import MapOrigin, MapSection, SavedMap
+from uav_vslam.slam.saved_map import MapOrigin, Mapped, MappedPlace, SavedMap
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
 
 COUNT, NOW_NS = 8, 10 * NS_PER_S
@@ -61,14 +61,14 @@ def fuse(own: JointInformation, *packets: LandmarkPacket, loaded: SavedMap | Non
 
 def saved_map(joint: JointInformation, *, sources: tuple[str, ...] = ()) -> SavedMap:
     """Return a map with the landmarks of a belief."""
-    section = MapSection.bounding(
+    place = MappedPlace(
         joint.ids,
         joint.positions,
         joint.covariance[6:, 6:],
         descriptors=joint.descriptors,
         observations=np.ones(COUNT, np.uint32),
     )
-    return SavedMap(MapOrigin("uav9", 1, "uav9/map", NOW_NS, sources), (section,))
+    return Mapped(MapOrigin("uav9", 1, "uav9/map", NOW_NS, sources), (place,)).saved_map()
 
 
 DEPENDENCE = {

@@ -112,7 +112,7 @@ def offline_map_hash(ground: Ground) -> str:
         for _ in stage.run():
             pass
     assert stage.initial is not None
-    return stage.saved_map().hash
+    return stage.mapped().saved_map().hash
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def test_an_empty_map_neither_replaces_another_nor_is_one_to_start_in(
     saved = node.call("save_map", file)
     assert (saved.success, saved.message.startswith("no landmark is mapped so far")) == (False, True)
     assert load_map(file).hash == load_map(ground.file).hash
-    save_map(node.backend._stage.saved_map(), empty)
+    save_map(node.backend._stage.mapped().saved_map(), empty)
     loaded = node.call("load_map", empty)
     assert (loaded.success, "has no landmarks to start in" in loaded.message) == (False, True)
     assert node.call("load_map", ground.file).success

@@ -304,7 +304,7 @@ def test_the_quality_of_a_frame_is_that_of_its_report(flown) -> None:
 @pytest.mark.parametrize(("frame", "expected"), [("", "uav1/map"), ("site/map", "site/map")])
 def test_a_saved_map_names_the_frame_that_the_setting_names(keep_map: bool, frame: str, expected: str) -> None:
     config = VehicleConfig(frames=OutputFramesConfig(map=frame))
-    assert SlamStage(config, vehicle="uav1", keep_map=keep_map).saved_map().origin.frame == expected
+    assert SlamStage(config, vehicle="uav1", keep_map=keep_map).mapped().origin.frame == expected
 
 
 @pytest.mark.parametrize(("seed", "first", "lost"), [(1, 3, 20), (3, 8, 20), (4, 3, 10)])

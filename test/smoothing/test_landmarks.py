@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A smoothed map has the same landmarks in better places, with a covariance that covers their errors."""
 
-import copy
 import functools
 
 import numpy as np
 import pytest
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.offline.track import smooth_track, track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkField, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
@@ -26,10 +25,8 @@ def flown(seed: int) -> tuple[VehicleTrack, VehicleTrack, LandmarkField]:
     vehicle = simulate_vehicle(Scenario(vehicles=1, seed=seed, frames=FRAMES), 0)
     field = scatter_landmarks([vehicle])
     config = VehicleConfig(imu=vehicle.scenario.imu_config)
-    causal = track_vehicle(SimulatedSource(vehicle, field), config, keep_features=True, keep_map=True)
-    smoothed = copy.copy(causal)
-    smooth_track(smoothed, vehicle.rig, config)
-    return causal, smoothed, field
+    fly = functools.partial(track_vehicle, SimulatedSource(vehicle, field), config, keep_map=True)
+    return fly(), fly(smoothing=True), field
 
 
 def mapped(seed: int, *, smoothing: bool = True) -> tuple[VehicleTrack, SavedMap, LandmarkField]:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A vehicle's own-only pipeline over its data; a flight without a result, or one in doubt, says why."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.offline.source import FlightSource, start_state
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
+from uav_vslam.slam.saved_map import Mapped
 from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.smoother import smooth
 
@@ -63,33 +65,40 @@ def track_vehicle(
     _count_unpaired(source, pipeline.track)
     _check_measured(pipeline.track)
     _report_coasting(pipeline.track)
+    mapped = None
     if keep_map:
-        _keep_saved_map(pipeline)
+        with _warning_of(pipeline.track, "the map could not be saved"):
+            mapped = pipeline.mapped()
     if smoothing:
-        smooth_track(pipeline.track, source.rig, config)
+        mapped = smooth_track(pipeline.track, source.rig, config, mapped)
+    if mapped is not None:
+        with _warning_of(pipeline.track, "the map could not be saved"):
+            pipeline.track.saved_map = mapped.saved_map()
     if not keep_features:
         pipeline.track.features.clear()
     return pipeline.track
 
 
-def smooth_track(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> None:
-    """Smooth the poses, and the map if there is one, of a track that keeps its features, or add why it failed."""
+def smooth_track(
+    track: VehicleTrack, rig: StereoRig, config: VehicleConfig, mapped: Mapped | None = None
+) -> Mapped | None:
+    """Smooth the poses of a track that keeps its features, or add why it failed; return the landmarks, smoothed too."""
     if track.start is None or not track.outputs:
-        return
-    try:
+        return mapped
+    with _warning_of(track, "the flight could not be smoothed"):
         flight = FilteredFlight.of_outputs(track.start, track.outputs, track.features)
-        found = smooth(flight, rig, config, track.saved_map)
-        track.smoothed, track.saved_map = [estimate.pose for estimate in found.estimates], found.saved_map
-    except (FilterDivergence, np.linalg.LinAlgError, MemoryError) as error:
-        track.warnings.append(f"the flight could not be smoothed: {error}")
+        found = smooth(flight, rig, config, mapped)
+        track.smoothed, mapped = [estimate.pose for estimate in found.estimates], found.mapped
+    return mapped
 
 
-def _keep_saved_map(pipeline: VehiclePipeline) -> None:
-    """Add the map to a pipeline's track; without one, why there is none."""
+@contextmanager
+def _warning_of(track: VehicleTrack, failure: str) -> Iterator[None]:
+    """Add a failure of the estimation to the warnings of a track, and go on."""
     try:
-        pipeline.track.saved_map = pipeline.saved_map()
-    except (FilterDivergence, np.linalg.LinAlgError) as error:
-        pipeline.track.warnings.append(f"the map could not be saved: {error}")
+        yield
+    except (FilterDivergence, np.linalg.LinAlgError, MemoryError) as error:
+        track.warnings.append(f"{failure}: {error}")
 
 
 def _count_unpaired(source: FlightSource, track: VehicleTrack) -> None:

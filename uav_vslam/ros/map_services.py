@@ -23,7 +23,7 @@ def offer_map_services(node: Node, stage: Callable[[], SlamStage]) -> None:
     """Create both services on a node that has declared map_file; `stage` returns the current one."""
 
     def save() -> str:
-        path, saved = _map_file(node), stage().saved_map()
+        path, saved = _map_file(node), stage().mapped().saved_map()
         if not len(saved):
             raise MapError(f"no landmark is mapped so far, and {path} is not written; save in flight, before a reset")
         size = save_map(saved, path)

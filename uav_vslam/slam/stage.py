@@ -24,7 +24,7 @@ from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.noise_monitor import NoiseMonitor
 from uav_vslam.slam.rig_monitor import RigMonitor
-from uav_vslam.slam.saved_map import MapOrigin, SavedMap, load_map
+from uav_vslam.slam.saved_map import MapOrigin, Mapped, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
 from uav_vslam.slam.start_watch import StartWatch
 from uav_vslam.types import (
@@ -89,7 +89,7 @@ class SlamStage:
     """
 
     def __init__(self, config: VehicleConfig, *, vehicle: str, session: int = 1, keep_map: bool = False) -> None:
-        """Wait for start state and rig; with `keep_map` all landmarks are collected for `saved_map`.
+        """Wait for start state and rig; with `keep_map` all landmarks are collected for `mapped`.
 
         Raises:
             MapError: the map of `start.map` can't be read, or is empty and to be started in.
@@ -214,15 +214,13 @@ class SlamStage:
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
-    def saved_map(self) -> SavedMap:
-        """Return all landmarks mapped until the last epoch; empty without `keep_map`."""
+    def mapped(self) -> Mapped:
+        """Return all landmarks mapped until the last epoch; none without `keep_map`."""
         if self._archive is None:
-            return SavedMap(self._origin(self._session))
-        saved = self._archive.saved_map()
-        origin = dataclasses.replace(
-            saved.origin, other_sources=self._start_map.origin.sources if self._start_map else ()
-        )
-        return SavedMap(origin, saved.sections)
+            return Mapped(self._origin(self._session))
+        mapped = self._archive.mapped()
+        others = self._start_map.origin.sources if self._start_map else ()
+        return dataclasses.replace(mapped, origin=dataclasses.replace(mapped.origin, other_sources=others))
 
     def load_map(self, saved: SavedMap) -> None:
         """Take over a map to start in.

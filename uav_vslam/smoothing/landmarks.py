@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.slam.saved_map import MapSection, SavedMap
+from uav_vslam.slam.saved_map import Mapped, MappedPlace
 from uav_vslam.smoothing.arrowhead import Factor, Marginals, covariance_of
 from uav_vslam.smoothing.layout import Layout
 from uav_vslam.smoothing.sightings import Rows, Sightings
@@ -64,39 +64,36 @@ class PointErrors:
         return own.reshape(of_rest.shape) + of_rest
 
 
-def smoothed_map(saved: SavedMap, positions: Array, errors: PointErrors, *, stamp_ns: int) -> SavedMap:
-    """Return a map of the same flight with its landmarks at the smoothed points that show them.
+def smoothed_landmarks(mapped: Mapped, positions: Array, errors: PointErrors, *, stamp_ns: int) -> Mapped:
+    """Return the landmarks of the same flight at the smoothed points that show them.
 
     Of several points that show a landmark, the one with most observations stands for it. Landmarks that no point shows,
     because its track was refused, are left out.
 
     Args:
-        saved: the filter's map.
+        mapped: by the filter.
         positions: (P, 3) of all points [m].
         errors: of the points.
         stamp_ns: of the last measurement [ns].
-
-    Raises:
-        FilterDivergence: a covariance is not positive definite.
     """
     points_of = _points_of(errors.sightings)
-    sections = []
-    for section in saved.sections:
-        points = np.array([points_of.get(i, -1) for i in section.ids.tolist()], np.intp)
+    places = []
+    for place in mapped.places:
+        points = np.array([points_of.get(i, -1) for i in place.ids.tolist()], np.intp)
         rows = np.flatnonzero(points >= 0)
         rows = rows[np.argsort(points[rows])]
         if len(rows) == 0:
             continue
-        sections.append(
-            MapSection.bounding(
-                section.ids[rows],
+        places.append(
+            MappedPlace(
+                place.ids[rows],
                 positions[points[rows]],
                 errors.covariance(points[rows]),
-                descriptors=section.descriptors[rows],
-                observations=section.observations[rows],
+                descriptors=place.descriptors[rows],
+                observations=place.observations[rows],
             )
         )
-    return SavedMap(dataclasses.replace(saved.origin, stamp_ns=stamp_ns), tuple(sections))
+    return Mapped(dataclasses.replace(mapped.origin, stamp_ns=stamp_ns), tuple(places))
 
 
 def _points_of(sightings: Sightings) -> dict[int, int]:

@@ -14,12 +14,12 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import NAV_DIM
-from uav_vslam.slam.saved_map import SavedMap
+from uav_vslam.slam.saved_map import Mapped
 from uav_vslam.smoothing.arrowhead import Arrowhead, Factor, Marginals, factorise, marginal_covariances
 from uav_vslam.smoothing.cameras import Cameras, PixelNoise, RigEstimate
 from uav_vslam.smoothing.chain import add_motion, add_rig, add_start, fill_up, moved
 from uav_vslam.smoothing.flight import FilteredFlight
-from uav_vslam.smoothing.landmarks import PointErrors, smoothed_map
+from uav_vslam.smoothing.landmarks import PointErrors, smoothed_landmarks
 from uav_vslam.smoothing.layout import Layout
 from uav_vslam.smoothing.points import fitting, residual_px, revisited, tie_sigma_m, ties, triangulated, wrongly_tied
 from uav_vslam.smoothing.sightings import Sightings, gather
@@ -47,7 +47,7 @@ class Smoothed:
         points, dropped: used, and refused by the gate.
         landmarks: seen again after long, that close loops.
         noise: of the pixels, as measured.
-        saved_map: the filter's map with its landmarks smoothed; None if none was given.
+        mapped: the filter's landmarks, smoothed; None if none were given.
     """
 
     estimates: tuple[NavEstimate, ...]
@@ -56,7 +56,7 @@ class Smoothed:
     dropped: int
     landmarks: int
     noise: PixelNoise
-    saved_map: SavedMap | None
+    mapped: Mapped | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,16 +178,14 @@ class _Problem:
         return Cameras(self.states, np.einsum("nij,nj->ni", R, rates), self.rig)
 
 
-def smooth(
-    flight: FilteredFlight, rig: StereoRig, config: VehicleConfig, saved_map: SavedMap | None = None
-) -> Smoothed:
+def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig, mapped: Mapped | None = None) -> Smoothed:
     """Smooth a flight.
 
     Args:
         flight: measurements, and estimates to start from.
         rig: calibration; its errors are estimated with the filter's priors.
         config: of the vehicle; `backend.sigma_px` counts only where points are too few to measure it.
-        saved_map: the filter's map, to be smoothed too.
+        mapped: the filter's landmarks, to be smoothed too.
 
     Raises:
         FilterDivergence: the normal equations are not positive definite, or the steps did not settle.
@@ -208,9 +206,9 @@ def smooth(
     for row in flight.state_rows.tolist():
         block, own = last.layout.place(row)
         estimates.append(NavEstimate(problem.states[row], marginals.blocks[block, own, own].copy()))
-    if saved_map is not None:
+    if mapped is not None:
         end_ns, positions = estimates[-1].state.stamp_ns, problem.points[:, :3]
-        saved_map = smoothed_map(saved_map, positions, last.point_errors(marginals), stamp_ns=end_ns)
+        mapped = smoothed_landmarks(mapped, positions, last.point_errors(marginals), stamp_ns=end_ns)
     return Smoothed(
         tuple(estimates),
         step,
@@ -218,5 +216,5 @@ def smooth(
         dropped=found - len(problem.points),
         landmarks=len(problem.landmarks),
         noise=problem.noise,
-        saved_map=saved_map,
+        mapped=mapped,
     )

@@ -65,10 +65,10 @@ def test_a_filter_that_was_re_initialised_loses_no_landmark(make_joint) -> None:
             archive.count(np.column_stack([ids, ids]).astype(np.intp))
         belief = make_joint(rng.normal(0.0, 20.0, (5, 3)), np.eye(21), stamp_ns=first * 1_000_000_000)
         archive.add(dataclasses.replace(belief, ids=ids))
-    kept = archive.saved_map()
-    assert [section.ids.tolist() for section in kept.sections] == [[1, 2, 3, 4, 5], [101, 102, 103, 104, 105]]
+    kept = archive.mapped()
+    assert [place.ids.tolist() for place in kept.places] == [[1, 2, 3, 4, 5], [101, 102, 103, 104, 105]]
     assert kept.origin.stamp_ns == 101_000_000_000
 
 
 def test_a_flight_without_a_belief_has_an_empty_map() -> None:
-    assert len(MapArchive(MapOrigin("uav1", 1, frame="uav1/map", stamp_ns=0)).saved_map()) == 0
+    assert len(MapArchive(MapOrigin("uav1", 1, frame="uav1/map", stamp_ns=0)).mapped().saved_map()) == 0

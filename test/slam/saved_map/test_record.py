@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.geometry.coded_points import rigid_jacobian
-from uav_vslam.slam.saved_map import MapSection, SavedMap
+from uav_vslam.slam.saved_map import MappedPlace, MapSection, SavedMap
 
 ROUNDING = 1e-6  # relative to the largest eigenvalue
 
@@ -22,13 +22,13 @@ def drifted(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def section_of(points: np.ndarray, covariance: np.ndarray) -> MapSection:
     count = len(points)
-    return MapSection.bounding(
+    return MappedPlace(
         np.arange(count, dtype=np.uint32),
         points,
         covariance,
         descriptors=np.zeros((count, 128), np.uint8),
         observations=np.ones(count, np.uint32),
-    )
+    ).section()
 
 
 @pytest.mark.parametrize("count", [1, 2, 12])

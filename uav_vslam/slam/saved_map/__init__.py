@@ -9,6 +9,6 @@ correlated is not stored: what uses two of them together has to treat them as co
 """
 
 from uav_vslam.slam.saved_map.file import load_map, save_map
-from uav_vslam.slam.saved_map.record import MapOrigin, MapSection, SavedMap
+from uav_vslam.slam.saved_map.record import MapOrigin, Mapped, MappedPlace, MapSection, SavedMap
 
-__all__ = ["MapOrigin", "MapSection", "SavedMap", "load_map", "save_map"]
+__all__ = ["MapOrigin", "MapSection", "Mapped", "MappedPlace", "SavedMap", "load_map", "save_map"]

@@ -3,12 +3,11 @@
 
 Landmarks that have left are remembered, conditioned on those that stay, until there are enough of them for a section;
 those in view that have been observed often enough join it. So a section covers about one view of the ground, and its
-landmarks, of one joint belief, have a true joint covariance. The bound of it is computed when the map is wanted.
+landmarks, of one joint belief, have a true joint covariance.
 """
 
 import dataclasses
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.image_grid import spread_on_ground
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.slam.landmark_memory import LandmarkMemory
-from uav_vslam.slam.saved_map.record import MapOrigin, MapSection, SavedMap
+from uav_vslam.slam.saved_map.record import MapOrigin, Mapped, MappedPlace
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]
@@ -26,16 +25,6 @@ Rows = NDArray[np.intp]
 MIN_OBSERVATIONS = 3  # of a landmark in the filter that joins a section
 LEFT_FOR_SECTION = 24  # landmarks that have left: a section is made of them and of those in view
 SECTION_LANDMARKS = 64  # at most: the time to bound its covariance grows with the cube
-
-
-@dataclass(frozen=True, slots=True)
-class _Marginal:
-    """Landmarks of one belief: (N,) ids, (N, 3) positions and their covariance (3N, 3N) [m], descriptors."""
-
-    ids: NDArray[np.uint32]
-    positions: Array
-    covariance: Array
-    descriptors: NDArray[np.uint8]
 
 
 class MapArchive:
@@ -47,7 +36,7 @@ class MapArchive:
         self._memory = LandmarkMemory(SECTION_LANDMARKS)
         self._observations: Counter[int] = Counter()
         self._stored: set[int] = set()
-        self._parts: list[_Marginal] = []
+        self._parts: list[MappedPlace] = []
         self._last: JointInformation | None = None  # with the remembered landmarks
         self._in_state: NDArray[np.uint32] = np.zeros(0, np.uint32)  # of its landmarks, those in the filter
 
@@ -74,28 +63,16 @@ class MapArchive:
         left = open_rows[~np.isin(belief.ids[open_rows], joint.ids)]
         if len(left) >= LEFT_FOR_SECTION:
             rows = self._chosen(belief, left, open_rows)
-            self._parts.append(_marginal(belief, rows))
+            self._parts.append(_place(belief, rows))
             self._stored |= set(belief.ids[rows].tolist())
 
-    def saved_map(self) -> SavedMap:
-        """Return all that has been mapped; what is still in the filter is in the last section.
-
-        Raises:
-            FilterDivergence: a covariance is not positive definite.
-        """
-        return SavedMap(
-            dataclasses.replace(self._origin, stamp_ns=0 if self._last is None else self._last.stamp_ns),
-            tuple(
-                MapSection.bounding(
-                    part.ids,
-                    part.positions,
-                    part.covariance,
-                    descriptors=part.descriptors,
-                    observations=self._counted(part.ids),
-                )
-                for part in [*self._parts, *self._rest()]
-            ),
+    def mapped(self) -> Mapped:
+        """Return all that has been mapped; what is still in the filter is in the last place."""
+        stamp_ns = 0 if self._last is None else self._last.stamp_ns
+        places = (
+            dataclasses.replace(place, observations=self._counted(place.ids)) for place in [*self._parts, *self._rest()]
         )
+        return Mapped(dataclasses.replace(self._origin, stamp_ns=stamp_ns), tuple(places))
 
     def _counted(self, ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
         return np.array([self._observations[i] for i in ids.tolist()], np.uint32)
@@ -113,22 +90,23 @@ class MapArchive:
         others = others[spread_on_ground(belief.positions[others], SECTION_LANDMARKS - len(first))]
         return np.sort(np.concatenate([first, others]))
 
-    def _rest(self) -> list[_Marginal]:
+    def _rest(self) -> list[MappedPlace]:
         """Return sections of all landmarks of the last belief that are in none yet."""
         belief, parts = self._last, []
         rows = np.zeros(0, np.intp) if belief is None else self._open(belief)
         while belief is not None and len(rows):
             some = self._chosen(belief, rows[:0], rows)
-            parts.append(_marginal(belief, some))
+            parts.append(_place(belief, some))
             rows = rows[~np.isin(rows, some)]
         return parts
 
 
-def _marginal(belief: JointInformation, rows: Rows) -> _Marginal:
+def _place(belief: JointInformation, rows: Rows) -> MappedPlace:
     columns = landmark_rows(POSE_DIM, rows)
-    return _Marginal(
+    return MappedPlace(
         belief.ids[rows],
         belief.positions[rows].copy(),
         belief.covariance[np.ix_(columns, columns)],
         belief.descriptors[rows].copy(),
+        np.zeros(len(rows), np.uint32),  # counted when they are wanted
     )

@@ -65,24 +65,6 @@ class MapSection:
     descriptors: NDArray[np.uint8]
     observations: NDArray[np.uint32]
 
-    @staticmethod
-    def bounding(
-        ids: NDArray[np.uint32],
-        positions: Array,
-        covariance: Array,
-        *,
-        descriptors: NDArray[np.uint8],
-        observations: NDArray[np.uint32],
-    ) -> "MapSection":
-        """Return a section whose covariance bounds the given one (3N, 3N); N > 0.
-
-        Raises:
-            FilterDivergence: the covariance is not positive definite.
-        """
-        anchor = positions.mean(axis=0)
-        common, own = smallest_common_bound(covariance, rigid_jacobian(positions - anchor))
-        return MapSection(anchor, common, ids, positions, own, descriptors, observations)
-
     def __len__(self) -> int:
         return len(self.ids)
 
@@ -103,6 +85,35 @@ class MapSection:
         moved[:3] = rigid_jacobian((at - self.anchor)[None])
         factor = moved @ self.common_factor
         return np.asarray(factor @ factor.T)
+
+
+@dataclass(frozen=True, slots=True)
+class MappedPlace:
+    """Landmarks of one place with their joint covariance.
+
+    Attributes:
+        ids: (N,) uint32 landmark identifiers of the flight; N > 0.
+        positions: (N, 3) in the map frame [m].
+        covariance: (3N, 3N) [m^2].
+        descriptors: (N, D) uint8.
+        observations: (N,) frames that showed each landmark.
+    """
+
+    ids: NDArray[np.uint32]
+    positions: Array
+    covariance: Array
+    descriptors: NDArray[np.uint8]
+    observations: NDArray[np.uint32]
+
+    def section(self) -> MapSection:
+        """Return them with a bound of their covariance.
+
+        Raises:
+            FilterDivergence: the covariance is not positive definite.
+        """
+        anchor = self.positions.mean(axis=0)
+        common, own = smallest_common_bound(self.covariance, rigid_jacobian(self.positions - anchor))
+        return MapSection(anchor, common, self.ids, self.positions, own, self.descriptors, self.observations)
 
 
 @dataclass(frozen=True)  # no slots: the hash is cached
@@ -136,3 +147,24 @@ class SavedMap:
     def descriptor_size(self) -> int:
         """Bytes of one descriptor; 0 for an empty map."""
         return self.sections[0].descriptors.shape[1] if self.sections else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """All landmarks that a flight mapped, before the time is spent on bounding their covariances.
+
+    Attributes:
+        origin: whose they are.
+        places: in the order of the flight; a landmark is in one of them.
+    """
+
+    origin: MapOrigin
+    places: tuple[MappedPlace, ...] = ()
+
+    def saved_map(self) -> SavedMap:
+        """Return the map of them.
+
+        Raises:
+            FilterDivergence: a covariance is not positive definite.
+        """
+        return SavedMap(self.origin, tuple(place.section() for place in self.places))
