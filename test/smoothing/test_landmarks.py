@@ -20,18 +20,11 @@ FRAMES = 48
 
 
 @functools.cache
-def flown(seed: int) -> tuple[VehicleTrack, VehicleTrack, LandmarkField]:
-    """Return a flight with the filter's map, the same flight smoothed, and what there is to map."""
+def mapped(seed: int, *, smoothing: bool = True) -> tuple[VehicleTrack, SavedMap, LandmarkField]:
     vehicle = simulate_vehicle(Scenario(vehicles=1, seed=seed, frames=FRAMES), 0)
     field = scatter_landmarks([vehicle])
     config = VehicleConfig(imu=vehicle.scenario.imu_config)
-    fly = functools.partial(track_vehicle, SimulatedSource(vehicle, field), config, keep_map=True)
-    return fly(), fly(smoothing=True), field
-
-
-def mapped(seed: int, *, smoothing: bool = True) -> tuple[VehicleTrack, SavedMap, LandmarkField]:
-    causal, smoothed, field = flown(seed)
-    track = smoothed if smoothing else causal
+    track = track_vehicle(SimulatedSource(vehicle, field), config, keep_map=True, smoothing=smoothing)
     assert track.saved_map is not None
     return track, track.saved_map, field
 

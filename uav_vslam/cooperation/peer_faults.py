@@ -20,10 +20,11 @@ def peer_faults(inbox: Inbox) -> dict[str, str]:
 
 def clocks_ahead(inbox: Inbox) -> dict[str, str]:
     """Return whose clock is far ahead in a line each, by subject; it costs nothing."""
-    ahead_s = {peer: record.ahead_ns / NS_PER_S for peer, record in sorted(inbox.peers.items()) if record.ahead_ns}
     return {
-        f"clock/{peer}": f"the clock of {peer} is {by_s:.0f} s ahead: its packets are used as they arrive"
-        for peer, by_s in ahead_s.items()
+        f"clock/{peer}": f"the clock of {peer} is {record.ahead_ns / NS_PER_S:.0f} s ahead: its packets are used as "
+        "they arrive"
+        for peer, record in sorted(inbox.peers.items())
+        if record.ahead_ns
     }
 
 

@@ -340,18 +340,18 @@ class Filter:
         weights = np.ones(len(landmarks)) if weights is None else weights
         with _stamped(self.nav.stamp_ns):
             found = self._correction(landmarks, pixels, weights, linearise_at)
-            depth_m = float(np.median(self.points_left()[landmarks, 2])) if len(landmarks) else np.inf
-            if self._of_tracks is None and self._model.invariant:
+            if self._of_tracks is None and self._model.invariant and len(landmarks):
                 found = iterated(
                     found,
-                    depth_m=depth_m,
+                    depth_m=self._depth_m(landmarks),
                     leads_to=self._leads_to,
                     correct=lambda at: self._correction(landmarks, pixels, weights, at),
                     cost=lambda other: self._cost(other, landmarks, pixels),
                 )
             dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else self._of_tracks.dof)
-            likely = dof == 0 or bool(chdtrc(dof, found.update.nis) >= significance)
-            accepted = likely and not self._is_ambiguous(found, depth_m)
+            accepted = dof == 0 or bool(chdtrc(dof, found.update.nis) >= significance)
+            if self._of_tracks is None and 0 < len(landmarks) < FEW:
+                accepted = accepted and not self._is_ambiguous(found, landmarks)
             if accepted:
                 self._of_tracks = None
                 self._apply(found)
@@ -379,13 +379,15 @@ class Filter:
         nav, _ = self._model.retract(found.nav, np.zeros((0, 3)), found.delta[: self._model.nav_dim])
         return nav.T_map_body
 
-    def _is_ambiguous(self, found: Correction, depth_m: float) -> bool:
-        """Return whether few landmarks shift the position by what might as well be a tilt, which is unknown."""
-        if self._of_tracks is not None or not 0 < len(found.weights) < FEW:
-            return False
+    def _depth_m(self, landmarks: Indices) -> float:
+        """Return the median depth of some landmarks in the left camera [m]."""
+        return float(np.median(self.points_left()[landmarks, 2]))
+
+    def _is_ambiguous(self, found: Correction, landmarks: Indices) -> bool:
+        """Return whether an update shifts the position by what might as well be a tilt, which is unknown."""
         tilt_rad = np.sqrt(np.diagonal(self.belief.covariance(NO_ROWS))[ROTATION][:2].max())
         shift_m = float(np.linalg.norm(self._leads_to(found).t - self.nav.T_map_body.t))
-        return bool(tilt_rad > AMBIGUOUS_RAD and shift_m > AMBIGUOUS_RAD * depth_m)
+        return bool(tilt_rad > AMBIGUOUS_RAD and shift_m > AMBIGUOUS_RAD * self._depth_m(landmarks))
 
     def _cost(self, found: Correction, landmarks: Indices, pixels: Array) -> float:
         """Return what an update leaves of squared errors, those of the prior included; infinite if that diverges."""

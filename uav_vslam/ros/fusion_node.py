@@ -226,12 +226,10 @@ class FusionNode(VehicleNode):
 
     def _note_clocks(self) -> None:
         """Note whose clock is far ahead; log the onset."""
-        before, ahead = {name for name in self.notes if name.startswith("clock/")}, clocks_ahead(self._fusion.inbox)
-        for name in ahead.keys() - before:
-            self.get_logger().info(ahead[name])
-        for name in before - ahead.keys():
-            del self.notes[name]
-        self.notes |= ahead
+        ahead = clocks_ahead(self._fusion.inbox)
+        for subject in ahead.keys() - self.notes.keys():
+            self.get_logger().info(ahead[subject])
+        self.notes = {name: text for name, text in self.notes.items() if not name.startswith("clock/")} | ahead
 
     def _report_faults(self) -> None:
         """Report a radio that is down, silent peers, keys that differ and names of two vehicles; log the onset."""

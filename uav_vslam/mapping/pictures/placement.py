@@ -115,19 +115,18 @@ def place(
     used = flat.used[np.isfinite(positions[flat.used]).all(axis=1)]
     if datum is None or len(used) < FEWEST_POSITIONS:
         return _without_gps(flat, height_m, unrelated=False)
-    adjusted = _by_gps(_sloping(flat, positions, used), positions, used, height_m)
-    altitudes_off_m = float(np.median(np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])))
+    level, sloping = (_by_gps(one, positions, used, height_m) for one in (flat, _sloping(flat, positions, used)))
+    altitudes_off_m = float(np.median(np.abs(sloping.scene.centres[used, 2] - positions[used, 2])))
     altitudes_agree = altitudes_off_m <= VERTICAL_FACTOR * BELIEVED_M
     altitudes_equal = len({position.height_m for k in used if (position := pictures[k].position)}) == 1
     altitudes_used = altitudes_agree and not altitudes_equal
-    if not altitudes_used:
-        adjusted = _by_gps(flat, positions, used, height_m)
+    adjusted = sloping if altitudes_used else level
     checked = len(used) >= FEWEST_CHECKED
     believed = checked and float(np.median(_distances(adjusted, positions, used)[used])) <= BELIEVED_M
     if checked and not believed and _shrunken(flat, positions[used], used):
         return _without_gps(flat, height_m, unrelated=True)
     if not believed:
-        adjusted = _by_gps(flat, positions, used, height_m)
+        adjusted = level
     distance = _distances(adjusted, positions, used)
     wrong: tuple[int, ...] = ()
     if believed and height_m is None:
