@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Past poses of the vehicle in the state."""
 
+import dataclasses
+
 import numpy as np
 
+from uav_vslam.config import EXACT_RIG
+from uav_vslam.estimation.mean import Chart
+from uav_vslam.estimation.models import MODELS
+from uav_vslam.estimation.rig_errors import RigErrors
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.ins.propagation import NAV_DIM
 
 
 def test_past_poses_are_moved_with_the_map(course) -> None:
@@ -24,3 +31,18 @@ def test_past_poses_are_moved_with_the_map(course) -> None:
     moved = Pose(so3_exp(turn), f.nav.T_map_body.t - so3_exp(turn) @ nav.T_map_body.t)
     np.testing.assert_allclose(f.past.t[0], moved.apply(past.t), atol=1e-9)
     np.testing.assert_allclose(f.past.R[0], moved.R @ past.R, atol=1e-12)
+
+
+def test_the_error_towards_another_pose_moves_there_and_leaves_the_points_in_place(course) -> None:
+    f = course.flown(frames=2)
+    f.keep_pose()
+    other = dataclasses.replace(
+        f.nav, T_map_body=Pose(so3_exp(np.array([0.2, -0.1, 0.3])), np.array([5.0, -3.0, 60.0]))
+    )
+    chart = Chart(MODELS["ri15"](), RigErrors(course.rig, EXACT_RIG, NAV_DIM))
+    moved = chart.retract(f.mean, chart.local(f.mean, dataclasses.replace(f.mean, nav=other)))
+    np.testing.assert_allclose(moved.nav.T_map_body.t, other.T_map_body.t, atol=1e-9)
+    np.testing.assert_allclose(moved.nav.T_map_body.R, other.T_map_body.R, atol=1e-12)
+    np.testing.assert_allclose(moved.nav.v_map, f.nav.v_map, atol=1e-9)
+    np.testing.assert_allclose(moved.points, f.mean.points, atol=1e-9)
+    np.testing.assert_array_equal(moved.past.R, f.past.R)

@@ -36,7 +36,7 @@ THESIS_PX = float(np.sqrt(10.0))  # "a value of 10 on the diagonal element of th
 def test_on_a_linear_problem_the_thesis_ukf_is_the_kalman_filter(course, monkeypatch, model: str) -> None:
     """Camera and motion are replaced by their linearisations; two steps, all outputs compared."""
     unscented, kalman = course.flown(model, "thesis_ukf", frames=1), course.flown(model, "ekf", frames=1)
-    unscented.nav, unscented.landmarks, unscented.belief = kalman.nav, kalman.landmarks, kalman.belief
+    unscented.mean, unscented.belief = kalman.mean, kalman.belief
     coordinates, m = MODELS[model](), kalman.vehicle
     for frame in (1, 2):
         start, increment = kalman.nav, course.increments[frame - 1]

@@ -272,7 +272,7 @@ def test_tracks_that_move_the_estimate_far_are_linearised_where_they_lead(course
 
 def test_tracks_that_fit_the_prediction_are_linearised_there(course) -> None:
     f, tracks = flown_at_wrong_velocity(course, np.array([0.05, -0.05, 0.05]))
-    used, first = np.ones(len(tracks), bool), f._linearised_tracks(tracks)
+    used, first = np.ones(len(tracks), bool), f._linearised_tracks(tracks, f.mean)
     P = f.belief.covariance(NO_ROWS)
     linearised, _ = relinearised(first, used, P, lambda delta: f._linearised_tracks_at(tracks, delta))
     assert linearised is first

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One filter over a vehicle and its landmarks, for every form of the belief and every linearisation.
 
-The mean (navigation state, rig errors, landmarks) lives on a manifold and is kept here; a `Belief` holds the Gaussian
-over its errors; a `Linearisation` supplies F, Q, H and R. The thesis's four filters differ only in these two:
+A `Mean` is what is estimated; a `Belief` holds the Gaussian over its errors, in the coordinates of a `Chart`; a
+`Linearisation` supplies F, Q, H and R. The thesis's four filters differ only in belief and linearisation:
 
     ekf   covariance form     Jacobians       section 4.2
     eif   information form    Jacobians       section 4.5
@@ -14,7 +14,7 @@ import copy
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
 from uav_vslam.errors import CalibrationError, FilterDivergence
 from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
 from uav_vslam.estimation.covariance import CovarianceBelief
+from uav_vslam.estimation.disparity_prior import DisparityPrior
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.estimation.iterated_update import Correction, iterated
@@ -35,7 +36,8 @@ from uav_vslam.estimation.linearisation import (
     camera_points,
     pixel_jacobians,
 )
-from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
+from uav_vslam.estimation.mean import Chart, Mean
+from uav_vslam.estimation.models import MODELS, POSE, StateModel
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
 from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPoses
 from uav_vslam.estimation.rig_belief import (
@@ -52,7 +54,6 @@ from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, rel
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
 from uav_vslam.estimation.weighted_update import Innovation, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
-from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
 from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.numerics import cholesky, submatrix, symmetrise
@@ -67,9 +68,8 @@ PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, 
 
 
 class Filter:
-    """The mean is `nav`, `rig_state` and `landmarks` (N, 3); `belief` is the Gaussian over its error.
+    """`belief` is the Gaussian over the errors of `mean`, with the rows that `Chart` gives them.
 
-    Rows of the error: navigation state in the model's coordinates, rig errors, landmarks (map frame).
     `sigma_px`, the standard deviation of each pixel coordinate, may be set at any time.
     """
 
@@ -107,21 +107,46 @@ class Filter:
         """
         self.imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
-        self._model: StateModel = MODELS[model]()
-        self._errors = RigErrors(rig, rig_config or EXACT_RIG, self._model.nav_dim)
+        state_model = MODELS[model]()
+        self._chart = Chart(state_model, RigErrors(rig, rig_config or EXACT_RIG, state_model.nav_dim))
         self.sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
         self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
         self.track_sigma_px = track_sigma_px
-        self.past = PastPoses.none()
         self._of_tracks: VehicleObservation | None = None  # for the next update
-        self.nav: NavState = initial.state
-        self.rig_state = RigState()
+        self.mean = Mean.at_start(initial.state)
         self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
-        self.landmarks: Array = np.zeros((0, 3))
         self.miscalibrated = self._errors.disparity_prior.probability
         C = self._model.from_map(initial.state)
         self.belief: Belief = form.from_covariance(self._with_rig_prior(C @ initial.covariance @ C.T))
         self.feasibility = np.inf  # ratio of gamma^2 to the least feasible one of the H-infinity bound
+
+    @property
+    def nav(self) -> NavState:
+        """Mean of the navigation state."""
+        return self.mean.nav
+
+    @property
+    def rig_state(self) -> RigState:
+        """Mean of the rig's errors."""
+        return self.mean.rig
+
+    @property
+    def past(self) -> PastPoses:
+        """Mean of the past poses."""
+        return self.mean.past
+
+    @property
+    def landmarks(self) -> Array:
+        """Mean of the (N, 3) landmarks in the map frame [m]."""
+        return self.mean.landmarks
+
+    @property
+    def _model(self) -> StateModel:
+        return self._chart.model
+
+    @property
+    def _errors(self) -> RigErrors:
+        return self._chart.errors
 
     @property
     def rig(self) -> StereoRig:
@@ -131,22 +156,19 @@ class Filter:
             FilterDivergence: no camera has these.
         """
         if self._rig_at is not self.rig_state:  # cached: read a dozen times a frame
-            try:
-                self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
-            except CalibrationError as error:
-                raise FilterDivergence(f"errors of the calibration: {error}") from error
+            self._rig_at, self._rig = self.rig_state, self._rig_with(self.rig_state)
         return self._rig
+
+    def _rig_with(self, state: RigState) -> StereoRig:
+        try:
+            return self._errors.rig(state)
+        except CalibrationError as error:
+            raise FilterDivergence(f"errors of the calibration: {error}") from error
 
     @property
     def vehicle(self) -> int:
         """Number of rows of the vehicle in the error."""
-        return self._past_rows.stop
-
-    @property
-    def _past_rows(self) -> slice:
-        """The rows of the past poses."""
-        start = self._model.nav_dim + self._errors.dim
-        return slice(start, start + POSE_DIM * len(self.past))
+        return self._chart.vehicle(self.mean)
 
     @property
     def can_add_landmarks(self) -> bool:
@@ -174,18 +196,17 @@ class Filter:
         nav_dim = self._model.nav_dim
         with _stamped(increment.stamp_ns):
             process = self._linear.process(self._model, self.nav, self.belief, increment, self.imu)
-            present = self._past_rows.start
-            F, Q = np.eye(present), np.zeros((present, present))
+            F, Q = np.eye(self._chart.present), np.zeros((self._chart.present, self._chart.present))
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q
             Q[self._errors.rows, self._errors.rows] = np.diag(self._errors.noise_variance(increment.dt_s))
             self.belief = self.belief.predicted(F, Q)
             if self._errors.has_vibration:
                 rows = np.arange(self._errors.vibration.start, self._errors.vibration.stop)
                 self.belief = self.belief.reset_rows(rows, self._errors.vibration_variance)
-                self.rig_state = self._errors.reset_vibration(self.rig_state)
+                self._set_mean(rig=self._errors.reset_vibration(self.rig_state))
             if self._gamma is not None:
                 self.belief, self.feasibility = bounded(self.belief, nav_dim, self._gamma)
-        self.nav = process.nav
+        self._set_mean(nav=process.nav)
         self.ends(increment)
 
     @property
@@ -196,12 +217,11 @@ class Filter:
     def keep_pose(self) -> None:
         """Keep the present pose in the state, as the newest past one; not with `euler9`."""
         self.belief = self.belief.cloned(POSE, COPY_VARIANCE)
-        self.past = self.past.followed_by(self.nav, self._known_rate_map)
+        self._set_mean(past=self.past.followed_by(self.nav, self._known_rate_map))
 
     def past_estimate(self, number: int) -> PoseEstimate:
         """Return a past pose, as later frames have corrected it, with its covariance."""
-        rows = self._past_rows.start + POSE_DIM * number + np.arange(POSE_DIM)
-        P = submatrix(self._claimed_covariance(), rows)
+        P = submatrix(self._claimed_covariance(), self._chart.past_rows(np.array([number])))
         return PoseEstimate(int(self.past.stamps_ns[number]), self.past.pose(number), symmetrise(P))
 
     def observe_tracks(
@@ -221,11 +241,11 @@ class Filter:
         if len(tracks) == 0:
             return np.zeros(0, bool)
         with _stamped(self.nav.stamp_ns):
-            P, first = self.belief.covariance(NO_ROWS), self._linearised_tracks(tracks)
+            P, first = self.belief.covariance(NO_ROWS), self._linearised_tracks(tracks, self.mean)
             passed = trusted(
                 first.seen,
-                (lambda: self._linearised_tracks(others()).seen) if others else None,
-                submatrix(P, self._track_rows),
+                (lambda: self._linearised_tracks(others(), self.mean).seen) if others else None,
+                submatrix(P, first.rows),
                 probability,
             )
             if not passed.any():
@@ -235,37 +255,21 @@ class Filter:
             )
             points, H, R = linearised.of_points(passed & become_landmarks)
             self.belief = self.belief.appended(H, R)
-            self.landmarks = np.vstack([self.landmarks, points])
+            self._set_mean(landmarks=np.vstack([self.landmarks, points]))
         return passed
 
-    @property
-    def _track_rows(self) -> Indices:
-        """The rows of the error that tracks depend on."""
-        return np.r_[self._errors.rows, self._past_rows]
-
-    def _linearised_tracks(self, tracks: Tracks) -> LinearisedTracks:
-        """Linearise tracks at the mean."""
-        past = self.past.at_exposure(self.rig_state.time_offset_s)
-        seen = observe_tracks(tracks, past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px)
-        return LinearisedTracks(seen, self._track_rows, self.vehicle)
+    def _linearised_tracks(self, tracks: Tracks, mean: Mean) -> LinearisedTracks:
+        """Linearise tracks at a mean."""
+        past, rig = mean.past.at_exposure(mean.rig.time_offset_s), self._rig_with(mean.rig)
+        seen = observe_tracks(tracks, past, rig=rig, errors=self._errors, sigma_px=self.track_sigma_px)
+        return LinearisedTracks(seen, np.r_[self._errors.rows, self._chart.past(mean)], self.vehicle)
 
     def _linearised_tracks_at(self, tracks: Tracks, delta: Array) -> LinearisedTracks:
         """Linearise tracks where (vehicle,) `delta` moves the mean."""
-        other, move = self._moved(delta)
-        return dataclasses.replace(other._linearised_tracks(tracks), move=move)
-
-    def _moved(self, delta: Array) -> tuple[Self, Move]:
-        """Return a copy without landmarks whose mean is moved by (vehicle,) `delta`, and that as a move."""
-        other = self.without_landmarks()
-        other.correct(other.belief, delta)
-        T = np.eye(self.vehicle)
-        if self._model.invariant:
-            before, after = self.nav, other.nav
-            B = other._transport(
-                after.T_map_body.t - before.T_map_body.t, after.v_map - before.v_map, other.past.t - self.past.t
-            )
-            T[:, ROTATION] -= B
-        return other, Move(delta, T)
+        vehicle, T = self.mean.without_landmarks(), np.eye(self.vehicle)
+        moved = self._chart.retract(vehicle, delta)
+        T[:, ROTATION] -= self._chart.transport(vehicle, moved)
+        return dataclasses.replace(self._linearised_tracks(tracks, moved), move=Move(delta, T))
 
     @property
     def has_tracks(self) -> bool:
@@ -289,7 +293,7 @@ class Filter:
         other = copy.copy(self)
         with _stamped(self.nav.stamp_ns):
             other.belief = CovarianceBelief(self.belief.covariance(NO_ROWS), self.vehicle)
-        other.landmarks = np.zeros((0, 3))
+        other.mean = self.mean.without_landmarks()
         return other
 
     def points_left(self) -> Array:
@@ -359,24 +363,24 @@ class Filter:
 
     def _correction(self, landmarks: Indices, pixels: Array, weights: Array, at: Pose | None) -> Correction:
         """Return an update that is not applied, linearised at a pose; None for the mean."""
-        before = (self.nav, self.belief)
+        before = (self.mean, self.belief)
         try:
             prior, predicted = self._linearised(landmarks, at)
             nu = pixels - predicted.expected
             observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
             update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
-            return Correction(self.nav, prior + update.delta, update, downweighted, observation, predicted.R, weights)
+            return Correction(self.mean, prior + update.delta, update, downweighted, observation, predicted.R, weights)
         finally:
-            self.nav, self.belief = before
+            self.mean, self.belief = before
 
     def _apply(self, found: Correction) -> None:
         """Move the mean and set the belief."""
-        self.nav = found.nav
+        self.mean = found.mean
         self.correct(found.update.belief, found.delta)
 
     def _leads_to(self, found: Correction) -> Pose:
         """Return T_map_body after an update."""
-        nav, _ = self._model.retract(found.nav, np.zeros((0, 3)), found.delta[: self._model.nav_dim])
+        nav, _ = self._model.retract(found.mean.nav, np.zeros((0, 3)), found.delta[: self._model.nav_dim])
         return nav.T_map_body
 
     def _depth_m(self, landmarks: Indices) -> float:
@@ -430,16 +434,14 @@ class Filter:
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
         kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self.sigma_px
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)
-        self.landmarks = np.vstack([self.landmarks, landmarks])
+        self._set_mean(landmarks=np.vstack([self.landmarks, landmarks]))
         return triangulated
 
     def marginalise(self, landmarks: Indices, past: Indices = NO_ROWS) -> None:
         """Marginalise landmarks and past poses out of the state."""
-        rows = (self._past_rows.start + POSE_DIM * past[:, None] + np.arange(POSE_DIM)).ravel()
         with _stamped(self.nav.stamp_ns):
-            self.belief = self.belief.marginalised(landmarks, rows)
-        self.landmarks = np.delete(self.landmarks, landmarks, axis=0)
-        self.past = self.past.without(past)
+            self.belief = self.belief.marginalised(landmarks, self._chart.past_rows(past))
+        self._set_mean(landmarks=np.delete(self.landmarks, landmarks, axis=0), past=self.past.without(past))
 
     def nav_estimate(self, *, as_calibrated: bool = False) -> NavEstimate:
         """Return the navigation state with its (15, 15) map-frame covariance, zero for states the model lacks.
@@ -480,10 +482,14 @@ class Filter:
         prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
         variance = disparity_variance(self.belief, self._errors)
         self.miscalibrated, now = self._errors.disparity_prior.given(mean, variance, prior=prior)
-        self._exchange_disparity_prior(now)
+        self.expect_disparity(now)
 
-    def _exchange_disparity_prior(self, variance: float) -> None:
-        """Exchange the prior, if there is one, as if the estimate had begun with the other one [px^2]."""
+    def expect_disparity(self, variance: float) -> None:
+        """Exchange the prior of the disparity's error, if that is a state, as if the estimate had begun with this one.
+
+        Args:
+            variance: [px^2].
+        """
         if not self._errors.has_disparity:
             return
         prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
@@ -492,22 +498,16 @@ class Filter:
         change = 1.0 / variance - 1.0 / prior
         with _stamped(self.nav.stamp_ns):
             belief, column = self.belief.information_changed(self._errors.disparity.start, change)
-            self._errors = self._errors.with_disparity_variance(variance)
+            self._set_disparity_prior(variance)
             self.correct(belief, -change * mean * column)
 
-    def doubt_disparity(self) -> None:
-        """Expect a wrong calibration until it is judged, see `DisparityPrior`."""
-        self._exchange_disparity_prior(self._errors.disparity_prior.unjudged_variance)
+    @property
+    def disparity_prior(self) -> DisparityPrior:
+        """What is known of the disparity's error before the flight."""
+        return self._errors.disparity_prior
 
-    def trust_disparity(self) -> None:
-        """Go on as if the disparity had not been doubted."""
-        self._exchange_disparity_prior(self._errors.disparity_prior.variance)
-
-    def trusting_disparity(self) -> Self:
-        """Return a copy of this filter that trusts the disparity."""
-        other = copy.copy(self)
-        other.trust_disparity()
-        return other
+    def _set_disparity_prior(self, variance: float) -> None:
+        self._chart = dataclasses.replace(self._chart, errors=self._errors.with_disparity_variance(variance))
 
     def forget_disparity(self) -> None:
         """Know no more of the disparity's error than before the flight."""
@@ -516,8 +516,8 @@ class Filter:
         variance = self._errors.disparity_prior.variance
         with _stamped(self.nav.stamp_ns):
             self.belief = self.belief.reset_rows(np.array([self._errors.disparity.start]), variance)
-        self._errors = self._errors.with_disparity_variance(variance)
-        self.rig_state = dataclasses.replace(self.rig_state, disparity_px=0.0)
+        self._set_disparity_prior(variance)
+        self._set_mean(rig=dataclasses.replace(self.rig_state, disparity_px=0.0))
 
     @property
     def disparity(self) -> DisparityEstimate | None:
@@ -572,43 +572,19 @@ class Filter:
 
     def _move_linearisation(self, T_map_body: Pose) -> Array:
         """Move the linearisation point and return the prior mean as an error from it."""
-        before = self.nav
-        self.nav = dataclasses.replace(before, T_map_body=T_map_body)
-        points, nav_dim, count = self._points(), self._model.nav_dim, len(self.past)
-        B = self._transport(T_map_body.t - before.T_map_body.t, np.zeros(3), np.zeros_like(points))
-        self.belief = self.belief.coordinates_changed(B, ROTATION)
-        offset = difference(self.nav, points, before, points)
-        past = np.zeros((count, 2, 3))
-        past[:, 0] = offset[nav_dim : nav_dim + 3 * count].reshape(-1, 3)
-        return np.concatenate(
-            [offset[:nav_dim], np.zeros(self._errors.dim), past.ravel(), offset[nav_dim + 3 * count :]]
-        )
+        prior = self.mean
+        self._set_mean(nav=dataclasses.replace(self.nav, T_map_body=T_map_body))
+        self.belief = self._chart.transported(self.belief, prior, self.mean)
+        return self._chart.local(self.mean, prior)
+
+    def _set_mean(self, **parts: Any) -> None:
+        """Exchange parts of the mean."""
+        self.mean = dataclasses.replace(self.mean, **parts)
 
     def correct(self, belief: Belief, delta: Array) -> None:
         """Move the mean by (vehicle + 3N,) `delta` and set the belief over the remaining error."""
-        before, points = self.nav, self._points()
-        past = delta[self._past_rows].reshape(-1, 2, 3)
-        on_manifold = np.concatenate([delta[: self._model.nav_dim], past[:, 0].ravel(), delta[self.vehicle :]])
-        self.nav, moved = self._model.retract(before, points, on_manifold)
-        self.rig_state = self._errors.retract(self.rig_state, delta)
-        self.past = self.past.moved(past[:, 1], moved[: len(past)])
-        self.landmarks = moved[len(past) :]
-        if self._model.invariant:
-            moved_p = self.nav.T_map_body.t - before.T_map_body.t
-            B = self._transport(moved_p, self.nav.v_map - before.v_map, moved - points)
-            belief = belief.coordinates_changed(B, ROTATION)
-        self.belief = belief
-
-    def _points(self) -> Array:
-        """Return (V + N, 3) the past positions, then the landmarks."""
-        return np.vstack([self.past.t, self.landmarks])
-
-    def _transport(self, moved_position: Array, moved_velocity: Array, moved_points: Array) -> Array:
-        """Return `chart_transport` for shifts of the mean, those of `_points` included."""
-        count = len(self.past)
-        B = chart_transport(self.vehicle, moved_position, moved_velocity, moved_points[count:])
-        B[self._past_rows].reshape(count, 2, 3, 3)[:, 0] = skew(moved_points[:count])
-        return B
+        before, self.mean = self.mean, self._chart.retract(self.mean, delta)
+        self.belief = self._chart.transported(belief, before, self.mean)
 
 
 @contextmanager

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import Observation, Update
+from uav_vslam.estimation.mean import Mean
 from uav_vslam.estimation.weighted_update import huber_loss
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.numerics import mahalanobis2
-from uav_vslam.types import NavState
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class Correction:
     """An update that is not applied yet.
 
     Attributes:
-        nav: the mean that it is linearised at.
+        mean: that it is linearised at.
         delta: (vehicle + 3N,) correction of that mean.
         update: of the belief about it.
         downweighted: number of landmarks down-weighted by the robust kernel.
@@ -34,7 +34,7 @@ class Correction:
         weights: (M,) divide that.
     """
 
-    nav: NavState
+    mean: Mean
     delta: Array
     update: Update
     downweighted: int
@@ -69,7 +69,7 @@ def iterated(
     best, least = first, np.inf
     for _ in range(RELINEARISATIONS):
         there = leads_to(best)
-        if not np.linalg.norm(there.t - best.nav.T_map_body.t) > NEAR * depth_m:
+        if not np.linalg.norm(there.t - best.mean.nav.T_map_body.t) > NEAR * depth_m:
             break
         if best is first:
             least = cost(first)

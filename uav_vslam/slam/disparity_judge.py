@@ -5,6 +5,8 @@ Not while the tilt or the velocity may be wrong, whose corrections look like a w
 the IMU are missing, since the motion is then no measure of it.
 """
 
+import copy
+
 import numpy as np
 
 from uav_vslam.estimation.filter import Filter
@@ -34,7 +36,7 @@ class DisparityJudge:
         if self._has_ended or not lacks_readings(increment):
             return
         if not self._has_judged:
-            slam_filter.trust_disparity()
+            _trust(slam_filter)
         self._has_ended = True
 
     def after_update(self, slam_filter: Filter, nav: NavEstimate) -> None:
@@ -51,7 +53,7 @@ class DisparityJudge:
                 slam_filter.forget_disparity()
                 return
             if len(slam_filter.past):
-                slam_filter.doubt_disparity()
+                slam_filter.expect_disparity(slam_filter.disparity_prior.unjudged_variance)
             self._level_ns = nav.state.stamp_ns
         if (nav.state.stamp_ns - self._level_ns) / NS_PER_S > JUDGED_AFTER_S:
             slam_filter.judge_disparity()
@@ -59,4 +61,13 @@ class DisparityJudge:
 
     def trusting(self, slam_filter: Filter) -> Filter:
         """Return a filter, or a copy that trusts the calibration as long as that is not judged."""
-        return slam_filter if self._has_judged or self._has_ended else slam_filter.trusting_disparity()
+        if self._has_judged or self._has_ended:
+            return slam_filter
+        trusting = copy.copy(slam_filter)
+        _trust(trusting)
+        return trusting
+
+
+def _trust(slam_filter: Filter) -> None:
+    """Go on as if the disparity had not been doubted."""
+    slam_filter.expect_disparity(slam_filter.disparity_prior.variance)
