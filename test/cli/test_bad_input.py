@@ -422,6 +422,23 @@ def test_places_that_can_not_be_made_are_told_before_a_fleet_starts(
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "file", "fleet.yaml"}
 
 
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("fusion: {fleet_key_file: /none.key}", "/none.key: the key"),
+        ("start: {method: map, map: /none.map}", "/none.map: the map"),
+    ],
+)
+def test_files_of_a_vehicle_that_can_not_be_read_are_told_before_a_fleet_starts(
+    setting: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "vehicle.yaml").write_text(f"/**: {{ros__parameters: {{{setting}}}}}\n")
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text("vehicles: {uav1: {config: vehicle.yaml}, uav2: {config: vehicle.yaml}}\n")
+    assert f"{said} can't be read (No such file" in refused(capsys, "launch", fleet)
+
+
 def test_a_truncated_bag_is_run_up_to_the_damage(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, "run", cut, "--results", tmp_path, "--no-plots")
     assert f"bag {cut / 'flight.mcap'} is damaged" in line

@@ -160,7 +160,9 @@ def launch(
     from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor
 
     check_domain(domain_id)
-    _check_places(record, maps, fleet.chosen(vehicles))
+    here = fleet.chosen(vehicles)
+    _check_places(record, maps, here)
+    _check_files(here)
     bag = str(record) if record else ""
     specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, record=bag, maps=maps)
     if not parameter_services:
@@ -195,6 +197,17 @@ def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> 
     for name in vehicles if maps else ():
         require_place(Path(maps) / name)
         require_no_grid(Path(maps) / name / TILES)
+
+
+def _check_files(vehicles: Mapping[str, VehicleConfig]) -> None:
+    """Refuse keys and saved maps that can't be read before anything is started: each node would say so by itself."""
+    from uav_vslam.cooperation.authentication import authentication_for
+    from uav_vslam.slam.saved_map import load_map
+
+    for name, config in vehicles.items():
+        authentication_for(name, config.fusion)
+        if config.start.map:
+            load_map(config.start.map)
 
 
 def _environment(domain_id: int | None, log_dir: Path | None, *, own_radio: bool) -> dict[str, str]:
