@@ -157,6 +157,23 @@ def test_a_node_that_is_restarted_has_the_live_settings_of_the_one_before(start:
     assert process("resume:=true").config.fusion.mode == "wideband"
 
 
+def test_a_node_that_dies_while_it_is_paused_is_paused_when_it_is_restarted(start: Callable[..., Any]) -> None:
+    def process(*parameters: str) -> Any:
+        rclpy.try_shutdown()
+        return start("fusion", *parameters)
+
+    process().trigger_deactivate()
+    restarted = process("resume:=true")
+    assert restarted.paused == "paused"
+    restarted.trigger_activate()
+    assert not restarted.paused
+    again = process("resume:=true")
+    assert not again.paused
+    again.trigger_deactivate()
+    assert not process().paused  # a new flight
+    assert not process("resume:=true").paused
+
+
 def test_live_settings_that_can_not_be_read_are_left(start: Callable[..., Any]) -> None:
     stored = state_folder() / "uav1_fusion.json"
     stored.parent.mkdir(parents=True, exist_ok=True)

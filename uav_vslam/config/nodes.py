@@ -21,8 +21,8 @@ class VehicleNodeConfig(Settings):
     )
     resume: bool = setting(
         False,
-        "go on from what a process that died left: live settings, the back end's checkpoint, the mapper's folder; the "
-        "launcher sets it when it restarts a node",
+        "go on from what a process that died left: live settings, a pause, the back end's checkpoint, the mapper's "
+        "folder; the launcher sets it when it restarts a node",
     )
 
     def _check_together(self) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base of every vehicle node: configuration, inputs, rejected messages counted by reason, and diagnostics."""
 
+import contextlib
 import copy
 import time
 import typing
@@ -66,6 +67,7 @@ class VehicleNode(PausableNode):
         if not self.vehicle:
             raise ConfigError(f"start it in its vehicle's namespace, as in --ros-args -r __ns:=/uav1 (node {name})")
         self._settings.keep_live(state_folder() / f"{self.vehicle}_{name}.json", resume=self.own.resume)
+        self._pause_mark = state_folder() / f"{self.vehicle}_{name}.paused"
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
@@ -80,7 +82,10 @@ class VehicleNode(PausableNode):
         create_wall_timer(self, DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
         create_wall_timer(self, FOLLOW_PERIOD_S, self.follow_offers)
         create_wall_timer(self, START_S, self._report_missing)
-        if self.own.autostart:
+        if self.own.resume and self._pause_mark.exists():
+            self.get_logger().warning("paused, as the process before was")
+            self.trigger_configure()
+        elif self.own.autostart:
             self.begin()
 
     @property
@@ -96,7 +101,20 @@ class VehicleNode(PausableNode):
             if one.once and (one.shared or not self._was_active):
                 one.renew(self)
         self._was_active = True
+        with contextlib.suppress(OSError):
+            self._pause_mark.unlink(missing_ok=True)
         return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Also leave a mark for the process that takes the place of this one, should it die."""
+        try:
+            self._pause_mark.parent.mkdir(parents=True, exist_ok=True)
+            self._pause_mark.touch()
+        except OSError as error:
+            self.get_logger().warning(
+                f"{self._pause_mark} can't be written ({error.strerror}); a restart of this node ends the pause"
+            )
+        return super().on_deactivate(state)
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
