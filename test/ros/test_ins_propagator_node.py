@@ -247,6 +247,31 @@ def test_image_stamps_that_do_not_go_on_are_told_while_they_do_not(make: Make) -
     assert "images" not in node.alarms
 
 
+@pytest.mark.parametrize(("apart_s", "said"), [(3, "3.0 s ahead of"), (-3, "3.0 s behind"), (1, ""), (-1, "")])
+def test_clocks_of_images_and_imu_that_are_seconds_apart_are_told(make: Make, apart_s: int, said: str) -> None:
+    node = make()
+    for k in range(800):
+        stamp_ns = NOW_NS + k * STEP_NS
+        if k % 28 == 0:  # the first one before any reading
+            deliver(node, "left/camera_info", CameraInfo(header=header(stamp_ns + apart_s * NS_PER_S, "left_optical")))
+        deliver(node, "imu/data_raw", Imu(header=header(stamp_ns, node.base_frame)))
+        assert "images" not in node.alarms  # they bring new stamps
+    assert said in node.alarms.get("clocks", "")
+    assert bool(said) == ("clocks" in node.alarms)
+    rest(node, NOW_NS + 800 * STEP_NS, 0.5)
+    assert "clocks" not in node.alarms
+
+
+def test_images_that_go_on_while_the_imu_is_silent_do_not_blame_the_clocks(make: Make) -> None:
+    node = make()
+    rest(node, NOW_NS, 1.0)
+    for k in range(40):
+        deliver(node, "left/camera_info", CameraInfo(header=header(NOW_NS + (7 + k) * NS_PER_S // 7, "left_optical")))
+        assert "clocks" not in node.alarms
+    rest(node, NOW_NS + 47 * NS_PER_S // 7, 1.0)
+    assert not {"clocks", "images"} & node.alarms.keys()
+
+
 @pytest.mark.parametrize("method", ["given", "in_flight"])
 def test_a_node_that_is_reset_alone_goes_on_from_the_next_correction(make: Make, method: str) -> None:
     node = make(f"start.method:={method}")

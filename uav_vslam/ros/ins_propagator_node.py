@@ -145,7 +145,7 @@ class InsPropagatorNode(VehicleNode):
 
     def _on_reading(self, reading: ImuSample) -> None:
         self._reading_ns = reading.stamp_ns
-        self._status.report_image_stamps(self._reading_ns, self._image_ns)
+        self._status.report_reading(self._reading_ns)
         self._feed(IMU, reading.stamp_ns, reading)
         self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
 
@@ -155,6 +155,7 @@ class InsPropagatorNode(VehicleNode):
             if not self._in_batch:
                 self._take()
             self._image_ns = stamp_ns
+            self._status.report_image(self._reading_ns, stamp_ns)
             self._feed(IMAGES, stamp_ns, stamp_ns)
             self._batches.at_once = True  # for the readings that it may wait for
 
