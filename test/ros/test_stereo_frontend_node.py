@@ -321,6 +321,20 @@ def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(do
         assert node._rig.rig.left.fx > 0.0
 
 
+def test_cameras_that_are_swapped_in_flight_are_logged_as_that(domain_id, capfd):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        calibrate(node)
+        for _ in range(2):
+            for side, other in (("left", "right"), ("right", "left")):
+                deliver(node, f"{side}/camera_info", calibration(other))
+        logged = [line for line in capfd.readouterr().err.splitlines() if "the calibration has changed" in line]
+        assert len(logged) == 2
+        assert "baseline is 0" in logged[0]  # both cameras were the right one
+        assert node.failures["calibration"] in logged[1]
+        assert "places of the cameras" in logged[1]
+
+
 def test_images_of_another_size_than_their_calibration_are_an_alarm_while_they_come(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node = made()

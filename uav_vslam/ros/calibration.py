@@ -95,7 +95,10 @@ class RigListener:
         if self.rig is None:
             self._assemble()
             return
-        self._node.report_failure(CHANGED, self._fault(self.rig))
+        fault = self._fault(self.rig)
+        if fault != self._node.failures.get(CHANGED):
+            self._node.failures.pop(CHANGED, None)  # logged as well: the message before may have been half of a change
+        self._node.report_failure(CHANGED, fault)
 
     def _fault(self, used: StereoRig) -> str:
         """Return how the newest calibration differs from the one in use, in a line; empty if it does not."""
