@@ -262,6 +262,20 @@ def test_clocks_of_images_and_imu_that_are_seconds_apart_are_told(make: Make, ap
     assert "clocks" not in node.alarms
 
 
+def test_an_input_that_never_comes_does_not_hide_one_that_has_stopped(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = make()
+    monkeypatch.setattr(node._startup, "lasts", lambda: False)
+    (imu,) = (one for one in node._inputs if one.topic == "imu/data_raw")
+    now_s = time.monotonic()
+    imu.received, imu.first_s, imu.last_s = 1000, now_s - 20.0, now_s - 10.2
+    level, text = node._health()
+    assert level == DiagnosticStatus.WARN
+    assert "waiting for initial_state" in text
+    assert text.endswith("; no more messages from imu/data_raw for 10 s")
+
+
 def test_images_that_go_on_while_the_imu_is_silent_do_not_blame_the_clocks(make: Make) -> None:
     node = make()
     rest(node, NOW_NS, 1.0)

@@ -275,16 +275,17 @@ class VehicleNode(PausableNode):
         clock = [NO_CLOCK] if self._startup.lacks_clock() else []
         missing, drops = ", ".join([*clock, *silent(self._inputs)]), self._recent_drops.next_report(self.counts)
         pauses = stopped(self._inputs, time.monotonic())
+        stops = [_pauses_text(pauses)] if pauses else []
         if self.paused:
             return DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
         if self.failures:
             return DiagnosticStatus.ERROR, "; ".join(self.failures.values())
         if missing and self._startup.lasts():
             return DiagnosticStatus.OK, f"starting, waiting for {missing}"
-        if missing:  # an alarm may say why, or be about another input
-            return DiagnosticStatus.WARN, "; ".join([*self.alarms.values(), f"waiting for {missing}"])
-        if pauses:
-            return DiagnosticStatus.WARN, _pauses_text(pauses)
+        if missing:  # an alarm may say why, or be about another input; one that never comes hides none that has stopped
+            return DiagnosticStatus.WARN, "; ".join([*self.alarms.values(), f"waiting for {missing}", *stops])
+        if stops:
+            return DiagnosticStatus.WARN, stops[0]
         if self.alarms:
             return DiagnosticStatus.WARN, "; ".join(self.alarms.values())
         if drops:
