@@ -3,9 +3,12 @@
 
 import numpy as np
 
+from uav_vslam.config import IMU_GRADES
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.mounting import ImuMounting
+from uav_vslam.ins.white_noise import SEGMENT, WhiteNoise
 from uav_vslam.types import NS_PER_S, ImuSample
 
 RATE_HZ = 400
@@ -54,3 +57,20 @@ def test_noise_of_the_rate_leaves_a_velocity_error_that_does_not_grow() -> None:
 def test_an_imu_at_the_origin_keeps_every_bit() -> None:
     reading = ImuSample(1, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]))
     assert ImuMounting(Pose.identity()).to_body(reading) is reading
+
+
+def test_a_long_lever_arm_neither_looks_like_noise_nor_like_motion() -> None:
+    """The noise of dw/dt x l, 4 m/s^2 here, is the gyroscope's: an IMU at rest rests, and is no noisier than it is."""
+    rng, imu = np.random.default_rng(2), IMU_GRADES["consumer"]
+    mounting, noise, moved = ImuMounting(Pose(MOUNTED.R, np.array([0.6, -0.6, 0.5]))), WhiteNoise(imu), []
+    up_imu = MOUNTED.R.T @ [0.0, 0.0, imu.gravity]
+    for k in range(10 * SEGMENT):
+        gyro, accel = (
+            density * np.sqrt(RATE_HZ) * rng.standard_normal(3) for density in (imu.gyro_noise, imu.accel_noise)
+        )
+        moved.append(mounting.to_body(ImuSample(k * NS_PER_S // RATE_HZ, gyro, up_imu + accel)))
+        noise.add(moved[-1], 1.0 / RATE_HZ)
+        assert noise.imu is imu
+    assert np.array([one.accel for one in moved]).std(axis=0).max() > 3.0
+    up = static_alignment(moved, moved[-1].stamp_ns, imu).state.T_map_body.R[2]
+    np.testing.assert_allclose(up, [0.0, 0.0, 1.0], atol=2e-3)

@@ -33,7 +33,7 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
     Raises:
         UavVslamError: too few readings, or the vehicle moves.
     """
-    gyro, accel = np.array([s.gyro for s in samples]), np.array([s.accel for s in samples])
+    gyro, accel = np.array([s.gyro for s in samples]), np.array([s.accel_at_imu for s in samples])
     if len(samples) < 10:
         raise UavVslamError(
             f"static alignment needs a second of IMU readings before the first frame, got {len(samples)}"

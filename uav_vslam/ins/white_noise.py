@@ -68,7 +68,7 @@ def octave_means(power: Array, shares: Array) -> Array:
 
 def _powers(segment: list[ImuSample]) -> Array:
     """Return (2, 6) one-sided power spectral densities of both octaves, of the gyroscope's and accelerometer's axes."""
-    readings = np.array([[*sample.gyro.tolist(), *sample.accel.tolist()] for sample in segment])
+    readings = np.array([[*sample.gyro.tolist(), *sample.accel_at_imu.tolist()] for sample in segment])
     readings -= readings.mean(axis=0)
     readings -= np.outer(_SLOPE, _SLOPE @ readings / (_SLOPE @ _SLOPE))
     rate_hz = (SEGMENT - 1) * NS_PER_S / (segment[-1].stamp_ns - segment[0].stamp_ns)

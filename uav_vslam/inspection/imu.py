@@ -71,7 +71,8 @@ def check_imu(
     found += [*units, *rates]
     if count([*units, *rates], Severity.ERROR):  # noise in other units would mislead
         return found, {}
-    noise = noise_levels(stamps, gyro, accel, config.imu, at_rest(stamps, gyro, accel))
+    felt = np.array([one.accel_at_imu for one in readings])
+    noise = noise_levels(stamps, gyro, felt, config.imu, at_rest(stamps, gyro, felt))
     return [*found, *check_noise(noise)], noise
 
 
