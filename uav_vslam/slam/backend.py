@@ -6,6 +6,7 @@ Nothing received over a network enters here.
 
 import dataclasses
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,7 +187,7 @@ class SlamBackend:
                 self._disparity_judge.before_prediction(self._filter, increment)
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
-            new_landmarks = self._local_map.new_landmarks
+            new_landmarks = partial(self._local_map.new_landmarks, frame=self._frame)
             self._window.finish(self._filter, self._map, self._frame, new_landmarks, everything=is_seen)
             outcome.matches, outcome.innovation, outcome.closures = self._local_map.correct(
                 features, self._frame, by_landmarks=not is_seen
@@ -278,7 +279,8 @@ class SlamBackend:
     def joint_information(self) -> JointInformation:
         """Return the estimate of pose and landmarks, points still tracked included, for the vehicle's own fusion."""
         window = self._window
-        present = self._trusting(window.present(self._filter, self._map, self._local_map.all_in_view))
+        all_in_view = partial(self._local_map.all_in_view, frame=self._frame)
+        present = self._trusting(window.present(self._filter, self._map, all_in_view))
         descriptors = [some for some in (self._map.descriptors, window.views.descriptors[present.rows]) if len(some)]
         return JointInformation(
             stamp_ns=self.stamp_ns,

@@ -92,8 +92,7 @@ class LocalMap:
         """Remove landmarks so that the cost of a frame stays bounded, and past poses that have left the window."""
         removed = np.zeros(0, np.intp)
         if len(self._map):
-            in_view = projectable(self._filter.rig, self._filter.points_left())
-            view = MapView(self._map, self._filter.landmarks, self._variance, in_view, frame)
+            view = MapView(self._map, self._filter.landmarks, self._variance, self._in_view(frame), frame)
             removed = rows_to_remove(view, self._config)
         past = self._window.drop_oldest(self._filter)
         if len(removed) or len(past):
@@ -127,13 +126,14 @@ class LocalMap:
         """Return (K, 2) identifier and feature row of the landmarks just added from the features' rows `added`."""
         return np.column_stack([self._map.ids[len(self._map) - len(added) :], added])
 
-    def new_landmarks(self, pixels: NDArray[np.floating]) -> Rows:
-        """Return the rows of those of (N, 2) points that may become landmarks, up to the capacity."""
-        return self._spread(pixels, min(self._config.max_new_landmarks, self._config.max_landmarks - len(self._map)))
+    def new_landmarks(self, pixels: NDArray[np.floating], frame: int) -> Rows:
+        """Return the rows of those of (N, 2) points of a frame that may become landmarks, up to the capacity."""
+        most = min(self._config.max_new_landmarks, self._config.max_landmarks - len(self._map))
+        return self._spread(pixels, frame, most)
 
-    def all_in_view(self, pixels: NDArray[np.floating]) -> Rows:
+    def all_in_view(self, pixels: NDArray[np.floating], frame: int) -> Rows:
         """Return the rows of those of (N, 2) points that joint information has as landmarks: as many as fit."""
-        return self._spread(pixels, self._config.max_in_view)
+        return self._spread(pixels, frame, self._config.max_in_view)
 
     def _of_other_tracks(self, matches: Matches, features: StereoFeatures) -> Matches:
         """Leave out landmarks that are still on the track that made them: its views are used as a track's."""
@@ -152,16 +152,24 @@ class LocalMap:
             free = free[features.tracks[free] == 0]
         if len(free) == 0 or not self._filter.can_add_landmarks:
             return np.zeros(0, np.intp)
-        chosen = free[self.new_landmarks(features.pixels[free, :2])]
+        chosen = free[self.new_landmarks(features.pixels[free, :2], frame)]
         if len(chosen):
             chosen = chosen[self._filter.add_landmarks(features.pixels[chosen].astype(float))]
             self._map.append(features.descriptors[chosen], frame, features.tracks[chosen])
         return chosen
 
-    def _spread(self, pixels: NDArray[np.floating], most: int) -> Rows:
+    def _in_view(self, frame: int) -> NDArray[np.bool_]:
+        """Return (N,) which landmarks a frame should show.
+
+        Those that frames have not shown for long count as gone: in hover and in a vertical climb they stay in the image
+        for good, and would leave no room for points that can be seen.
+        """
+        inside = projectable(self._filter.rig, self._filter.points_left())
+        return np.asarray(inside & ~self._map.long_unseen(frame))
+
+    def _spread(self, pixels: NDArray[np.floating], frame: int, most: int) -> Rows:
         """Return the rows of at most so many of (N, 2) points; with the landmarks, they fill the image evenly."""
-        rig, points_left = self._filter.rig, self._filter.points_left()
-        in_view = projectable(rig, points_left)
+        rig, points_left, in_view = self._filter.rig, self._filter.points_left(), self._in_view(frame)
         room = min(most, self._config.max_in_view - int(in_view.sum()))
         taken = rig.left.project(points_left[in_view])
         return spread(pixels, max(0, room), size=rig.left.size, taken=taken)

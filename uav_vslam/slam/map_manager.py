@@ -31,7 +31,7 @@ class MapView:
         landmarks: history of the N landmarks.
         positions: (N, 3) [m].
         variance: computes the (N,) traces of the landmarks' covariances [m^2]; expensive, so on demand.
-        in_view: (N,) predicted inside both images.
+        in_view: (N,) predicted inside both images, but for those that were not seen there for long.
         frame: current frame number.
     """
 
