@@ -38,7 +38,9 @@ class BackendConfig(Settings):
     )
     sigma_px: float = setting(1.0, "standard deviation of each stereo pixel coordinate", unit="px", above=0, live=True)
     depth_sigma_ratio: float = setting(
-        0.043, "relief / height, smooths the depth in the Jacobian; 0: off (indoors)", at_least=0
+        0.043,
+        "relief / height, smooths the depth in the Jacobian; 0: off (indoors, or cameras not looking straight down)",
+        at_least=0,
     )
     association: str = setting(
         "gated",
