@@ -29,18 +29,19 @@ class ImuSample:
         stamp_ns: time of the reading [ns].
         gyro: (3,) angular rate [rad/s].
         accel: (3,) specific force [m/s^2]; +9.81 along z at rest and level.
-        felt: (3,) the same where the IMU is, without the noise of moving it to the body's origin; None if it is there.
+        measured: (3,) the same where the IMU is, without the noise of moving it to the body's origin; None if that is
+            its place.
     """
 
     stamp_ns: int
     gyro: Array
     accel: Array
-    felt: Array | None = None
+    measured: Array | None = None
 
     @property
     def accel_at_imu(self) -> Array:
         """(3,) specific force where the IMU is, in the body's axes [m/s^2]."""
-        return self.accel if self.felt is None else self.felt
+        return self.accel if self.measured is None else self.measured
 
     @property
     def is_finite(self) -> bool:

@@ -77,9 +77,11 @@ def test_a_start_many_sigmas_off_is_detected_once(flown, what: str, seed: int) -
     assert warning.endswith(REMEDY)
 
 
-# Where points are tracked: less tilt shows, but a forward velocity or a heading may be taken for a wrong calibration.
-FAR = {what: WRONG[what] for what in ("vertical velocity", "all velocities")}
+# Where points are tracked: less tilt shows, but a forward velocity may be taken for a wrong calibration.
+FAR = {what: WRONG[what] for what in ("vertical velocity", "all velocities", "heading")}
 FAR["tilt"] = {"rotation_deg": np.array([10 * TILT_SIGMA_DEG, 0.0, 0.0])}
+FAR["said to be slow"] = {"velocity": np.array([-10.0, 0.0, 0.0])}
+FAR["said to be at rest"] = {"velocity": np.array([-20.0, 0.0, 0.0])}
 
 
 @pytest.mark.parametrize("what", FAR)

@@ -7,7 +7,7 @@ With the body's angular rate w and the IMU at the lever arm l, all in the body's
 
 dw/dt is the difference of successive readings. Its noise telescopes when readings are integrated: a velocity error of
 the gyroscope's noise times l stays, and does not grow. But single readings have all of it, at 200 Hz and 1 m easily
-thirty times the accelerometer's own, so its noise, and whether it rests, are judged by what it felt itself.
+thirty times the accelerometer's own, so its noise, and whether it rests, are judged by what it measured itself.
 """
 
 import numpy as np
@@ -38,4 +38,4 @@ class ImuMounting:
             stamp_ns, rate = self._previous
             turning += np.cross((gyro - rate) * (NS_PER_S / (reading.stamp_ns - stamp_ns)), self._arm_body)
         self._previous = (reading.stamp_ns, gyro)
-        return ImuSample(reading.stamp_ns, gyro, force - turning, felt=force)
+        return ImuSample(reading.stamp_ns, gyro, force - turning, measured=force)

@@ -71,8 +71,8 @@ def check_imu(
     found += [*units, *rates]
     if count([*units, *rates], Severity.ERROR):  # noise in other units would mislead
         return found, {}
-    felt = np.array([one.accel_at_imu for one in readings])
-    noise = noise_levels(stamps, gyro, felt, config.imu, at_rest(stamps, gyro, felt))
+    measured = np.array([one.accel_at_imu for one in readings])
+    noise = noise_levels(stamps, gyro, measured, config.imu, at_rest(stamps, gyro, measured))
     return [*found, *check_noise(noise)], noise
 
 

@@ -27,7 +27,7 @@ from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.local_map import LocalMap
 from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.slam.matches import Matches
-from uav_vslam.slam.recovery import doubted_rig, reinitialised
+from uav_vslam.slam.recovery import reinitialised
 from uav_vslam.slam.seen_motion import MotionFinder, Step
 from uav_vslam.slam.track_noise import TrackNoise
 from uav_vslam.slam.track_window import Present, TrackWindow
@@ -101,7 +101,7 @@ class SlamBackend:
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
         self._motion, self._imu_fault = MotionFinder(), ImuFaultDetector(config.imu.gravity)
-        self._track_noise, self._flexing, self._doubts_rig = TrackNoise(), config.rig.flexing, False
+        self._track_noise, self._flexing = TrackNoise(), config.rig.flexing
         self._present_rig = rig  # as the tracks correct it
         self._nav = initial
         self._unaided: NavEstimate | None = None  # by the IMU alone, for a while: no image has spoilt it
@@ -219,7 +219,6 @@ class SlamBackend:
         if vibration := self._noticed_vibration():
             self._imu_fault = ImuFaultDetector(self._vehicle_config.imu.gravity)  # images missed for another reason
             outcome.recovery, outcome.restart = vibration, self._unaided
-            self._doubts_rig = False
         elif increment is not None and self._imu_fault.add(
             increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
         ):
@@ -302,10 +301,10 @@ class SlamBackend:
             report: of the frame.
             features: its points.
             reason: for the report.
-            start: what to go on from, because the start state or the calibration is wrong; None for an estimate that
+            start: what to go on from, because the frames contradict the start state; None for an estimate that
                 has lost its positive definiteness.
         """
-        unaided, self._doubts_rig = self._unaided, self._doubts_rig or start is not None
+        unaided = self._unaided
         self._recover(start)
         if start is not None:  # a vibration that shows next explains the frames as well: back to the start itself then
             self._unaided = unaided
@@ -373,7 +372,6 @@ class SlamBackend:
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
         rig_config = dataclasses.replace(self._vehicle_config.rig, flexing=self._flexing)
-        rig_config = doubted_rig(rig_config) if self._doubts_rig else rig_config
         config = dataclasses.replace(self._vehicle_config, rig=rig_config)
         self._filter = make_filter(initial, rig=self._rig, config=config)
         self._map.remove(np.arange(len(self._map)))

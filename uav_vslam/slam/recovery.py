@@ -5,12 +5,10 @@ The covariance of a lost one is inflated, but not without bound: recoveries may 
 of them makes an estimate that no filter can work with, which fails again at once, and so on.
 """
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import ImuConfig, RigConfig
+from uav_vslam.config import ImuConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.ins.increments import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA
 from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, NAV_DIM, POSITION, ROTATION, VELOCITY
@@ -26,10 +24,6 @@ MOST_POSITION_SIGMA = 1000.0
 # By how many times its sigmas a start that the first frames contradict may be off: position, which defines the map,
 # velocity, tilt, heading, biases. A wider tilt would be linearised too far from the truth where landmarks are noisy.
 START_INFLATION = np.repeat([1.0, 10.0, 3.0, 10.0, 3.0], [3, 3, 2, 1, 6])
-# Or else the calibration is wrong: by how many times more than a wrong one commonly is, and with which probability,
-# nine times that of a wrong start.
-MISCALIBRATED_INFLATION = 5.0
-MISCALIBRATED_PROBABILITY = 0.9
 
 
 def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> NavEstimate:
@@ -55,20 +49,21 @@ def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> N
     return NavEstimate(estimate.state, bounded)
 
 
-def doubted_start(initial: NavEstimate) -> NavEstimate:
-    """Return a start state that the first frames contradict, with a covariance that allows for it."""
-    return NavEstimate(initial.state, initial.covariance * START_INFLATION[:, None] * START_INFLATION)
+def doubted_start(initial: NavEstimate, *, any_speed: bool = False) -> NavEstimate:
+    """Return a start state that the first frames contradict, with a covariance that allows for it.
 
-
-def doubted_rig(rig: RigConfig) -> RigConfig:
-    """Return the uncertainty of a calibration when it, or the start state, is contradicted by the first frames."""
-    if rig.miscalibrated_probability == 0.0:
-        return rig
-    return dataclasses.replace(
-        rig,
-        miscalibrated_sigma_px=MISCALIBRATED_INFLATION * rig.miscalibrated_sigma_px,
-        miscalibrated_probability=max(MISCALIBRATED_PROBABILITY, rig.miscalibrated_probability),
-    )
+    Args:
+        initial: the start state.
+        any_speed: nothing is known of the speed. The direction of the velocity is as uncertain as otherwise, so that it
+            still tells the heading; at rest there is none.
+    """
+    P = initial.covariance * START_INFLATION[:, None] * START_INFLATION
+    if any_speed:
+        v, most = initial.state.v_map, float(np.linalg.eigvalsh(P[VELOCITY, VELOCITY])[-1])
+        towards = np.outer(v, v) / max(float(v @ v), most)  # of a slower vehicle, no direction is known
+        turned2 = min(most / max(float(v @ v), most), 1.0)
+        P[VELOCITY, VELOCITY] += UNKNOWN_SPEED_SIGMA**2 * (towards + turned2 * (np.eye(3) - towards))
+    return NavEstimate(initial.state, P)
 
 
 def _most_variance(estimate: NavEstimate, since_s: float, imu: ImuConfig) -> Array:
