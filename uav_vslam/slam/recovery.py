@@ -49,20 +49,17 @@ def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> N
     return NavEstimate(estimate.state, bounded)
 
 
-def doubted_start(initial: NavEstimate, *, any_speed: bool = False) -> NavEstimate:
+def doubted_start(initial: NavEstimate) -> NavEstimate:
     """Return a start state that the first frames contradict, with a covariance that allows for it.
 
-    Args:
-        initial: the start state.
-        any_speed: nothing is known of the speed. The direction of the velocity is as uncertain as otherwise, so that it
-            still tells the heading; at rest there is none.
+    Nothing is known of the speed: a vehicle that is said to be at rest may fly. The direction of a velocity is as wrong
+    as its inflated sigmas allow, so it still tells the heading; at rest there is none.
     """
     P = initial.covariance * START_INFLATION[:, None] * START_INFLATION
-    if any_speed:
-        v, most = initial.state.v_map, float(np.linalg.eigvalsh(P[VELOCITY, VELOCITY])[-1])
-        towards = np.outer(v, v) / max(float(v @ v), most)  # of a slower vehicle, no direction is known
-        turned2 = min(most / max(float(v @ v), most), 1.0)
-        P[VELOCITY, VELOCITY] += UNKNOWN_SPEED_SIGMA**2 * (towards + turned2 * (np.eye(3) - towards))
+    v, most = initial.state.v_map, float(np.linalg.eigvalsh(P[VELOCITY, VELOCITY])[-1])
+    speed2 = max(float(v @ v), most)
+    along = np.outer(v, v) / speed2
+    P[VELOCITY, VELOCITY] += UNKNOWN_SPEED_SIGMA**2 * (along + most / speed2 * (np.eye(3) - along))
     return NavEstimate(initial.state, P)
 
 

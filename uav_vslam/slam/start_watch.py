@@ -15,27 +15,23 @@ from uav_vslam.types import ImuIncrement, NavEstimate, StereoFeatures
 class StartWatch:
     """Watches the start by what two filters make of it: one that trusts the calibration, and one that doesn't.
 
-    If both contradict it, and points are tracked, the filter is re-initialised from dead reckoning: what the frames
-    have made of a wrong start is certain and wrong. If they show nothing where the start predicts it, its speed may be
-    anything, as that of a flying vehicle which was said to be at rest. Tracks are so exact that a start which allows
-    for its error costs them nothing; among landmarks alone it lets wrong matches pass.
+    If both contradict it, the filter is re-initialised from dead reckoning at any speed: what the frames have made of
+    a wrong start is certain and wrong.
     """
 
     def __init__(self, method: str, imu: ImuConfig) -> None:
         """Begin before the first frame, with `start.method`."""
         self._method = method
         self._trusting, self._doubting = StartMonitor(method), StartMonitor(method, scaled=True)
-        self._doubted, self._at_any_speed = DeadReckoning(imu), DeadReckoning(imu)  # from starts that may be wrong
+        self._doubted = DeadReckoning(imu)  # from a start state that may be wrong
 
     def start(self, initial: NavEstimate) -> None:
         """Set the start state."""
         self._doubted.start(doubted_start(initial))
-        self._at_any_speed.start(doubted_start(initial, any_speed=True))
 
     def add_motion(self, increment: ImuIncrement) -> None:
         """Add the motion up to the next frame."""
         self._doubted.add(increment)
-        self._at_any_speed.add(increment)
 
     def stop(self, stamp_ns: int) -> None:
         """Stop watching: from now on the state does not depend on the start."""
@@ -58,12 +54,9 @@ class StartWatch:
             dead_reckoned: dead reckoning from the start state to the frame, never corrected.
         """
         finding = self._trusting.add(report, dead_reckoned)
-        if not report.tracked:
-            return report, finding
         doubting = dataclasses.replace(report, as_calibrated=report.doubting or report.as_calibrated)
         contradiction = self._doubting.add(doubting, dead_reckoned)
         if not contradiction:  # a wrong calibration explains the finding, and the filter expects one
             return report, finding
         self._trusting = StartMonitor(self._method)
-        start = self._at_any_speed if report.coasted else self._doubted
-        return backend.recovered(report, features, contradiction, start=start.estimate), ""
+        return backend.recovered(report, features, contradiction, start=self._doubted.estimate), ""
