@@ -20,6 +20,7 @@ from uav_vslam.types import NS_PER_S, NavEstimate
 WATCHED_S = 5.0  # later the start hardly matters
 SIGNIFICANCE = 1e-4  # false-alarm probability per frame of a correct start
 NEGLIGIBLE = 0.01  # [m/s] corrections below are negligible at any covariance
+MOST_SCALED = 1.0 / 3.0  # of the speed: no calibration scales by more
 MAX_NIS_PER_DOF = 2.0  # of all updates since the start; a consistent filter is within a few percent of 1
 MAX_COASTED = 3  # frames with enough features, but none that the prediction explains
 
@@ -40,7 +41,8 @@ class StartMonitor:
 
         Args:
             method: of the start.
-            scaled: the calibration may be wrong, which scales all that is seen: the speed is no evidence.
+            scaled: the calibration may be wrong, which scales all that is seen: the speed is no evidence, unless it is
+                far off.
         """
         self._scaled = scaled
         self._remedy = f"check {CHECKED[method]}, the IMU noise and the calibration"
@@ -78,8 +80,11 @@ class StartMonitor:
             self._dof += report.innovation.dof
         elif max(report.tracked, min(report.features, self._landmarks)) >= MIN_FEATURES:
             self._coasted += 1
-        times = velocity_correction(report.as_calibrated or report.nav, dead_reckoned, scaled=self._scaled)
-        axes = 2 if self._scaled else 3
+        nav = report.as_calibrated or report.nav
+        speed, expected = (np.linalg.norm(one.state.v_map) for one in (nav, dead_reckoned))
+        scaled = self._scaled and bool(abs(speed - expected) <= MOST_SCALED * expected)
+        times = velocity_correction(nav, dead_reckoned, scaled=scaled)
+        axes = 2 if scaled else 3
         if times > np.sqrt(chdtri(axes, SIGNIFICANCE) / axes):
             return f"the first frames correct the start's velocity by {times:.1f} times what its sigmas allow"
         if self._nis > MAX_NIS_PER_DOF * max(self._dof, 1):
