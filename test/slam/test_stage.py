@@ -121,7 +121,7 @@ def test_in_flight_buffered_or_dropped_frames_count_as_before_the_start(flown) -
     blind = [(type(features).empty(features.stamp_ns), increment) for features, increment in flight.frames[:12]]
     assert feed(stage, blind) == []
     assert stage.dropped["before_start"] == 12
-    assert "are matched in later frames" in stage.missing_start
+    assert "are matched in the next frames" in stage.missing_start
     outputs = feed(stage, flight.frames[12:])
     assert stamps(outputs) == [features.stamp_ns for features, _ in flight.frames[12:]]
     assert stage.dropped["before_start"] == 12

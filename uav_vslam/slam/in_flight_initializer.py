@@ -2,11 +2,14 @@
 """Start state of a vehicle in flight, from gravity and stereo odometry; its position and yaw define the map.
 
 The first usable frame is the map's origin with yaw 0. Frames are buffered until a window of them agrees on a motion;
-then the filter starts at the window's first frame and processes them all. The window's velocity and tilt are the mean
-of a prior wider than their error, so that its frames hardly count twice. But too wide a prior lets the filter follow
-the first frames' noise by degrees of tilt: it linearises there and is over-confident for the rest of the flight.
+then the filter starts at the window's first frame and processes them all. The motion is found from the frames that see
+points of the first one: all of the window or, low and fast, its beginning. Its velocity and tilt are the mean of a
+prior wider than their error, so that these frames hardly count twice. But too wide a prior lets the filter follow the
+first frames' noise by degrees of tilt: it linearises there and is over-confident for the rest of the flight.
 """
 
+import bisect
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +29,7 @@ Frame = tuple[StereoFeatures, ImuIncrement | None]
 WINDOW_S = 1.0  # of the frames that the start is found from
 MAX_TILT_SIGMA_DEG = 3.0  # frames that leave roll and pitch less certain are not used
 MIN_MATCHES = 6  # of a view with the first frame
-MIN_VIEWS = 3  # later frames that see the first one's points: velocity and gravity (6 unknowns) need two
+MIN_VIEWS = 2  # later frames that see the first one's points, for velocity and gravity (6 unknowns)
 MAX_VIEWS = 8  # more views in the window add little
 MIN_AGREEING = 0.5  # share of the matches that must fit one motion
 PRIOR_PER_TILT_SIGMA = 2.0  # prior sigma over the window's own, which is mostly the accelerometer's bias
@@ -165,25 +168,32 @@ class InFlightInitializer:
         return float(np.sqrt(np.linalg.eigvalsh(found.covariance[GRAVITY, GRAVITY])[-1]) / self._config.imu.gravity)
 
     def _views(self, descriptors: NDArray[np.uint8]) -> list[View]:
-        """Return the first frame's points as seen in later frames, spread over the window."""
-        chosen = set(np.linspace(1, len(self._buffer) - 1, MAX_VIEWS).round().astype(int))
+        """Return the first frame's points as seen in later frames, spread over the time that they are in view."""
+
+        @functools.cache
+        def matches(k: int) -> NDArray[np.intp]:
+            return match_descriptors(descriptors, self._buffer[k][0].descriptors, self._config.frontend.ratio)
+
+        def is_lost(k: int) -> bool:
+            return len(matches(k)) < MIN_MATCHES
+
+        last = newest = len(self._buffer) - 1
+        if is_lost(newest):
+            last = max(bisect.bisect_left(range(1, newest), True, key=is_lost), MIN_VIEWS)
+        chosen = set(np.linspace(1, last, MAX_VIEWS).round().astype(int).tolist())
         views: list[View] = []
-        counts: list[int] = []
         motion: ImuIncrement | None = None  # since the previous view
-        for k, (features, step) in enumerate(self._buffer[1:], start=1):
+        for k, (features, step) in enumerate(self._buffer[1 : last + 1], start=1):
             assert step is not None
             motion = step if motion is None else compose(motion, step)
-            if k not in chosen:
-                continue
-            matches = match_descriptors(descriptors, features.descriptors, self._config.frontend.ratio)
-            counts.append(len(matches))
-            if len(matches) >= MIN_MATCHES:
-                views.append(View(motion, matches[:, 0], features.pixels[matches[:, 1]].astype(float)))
+            if k in chosen and not is_lost(k):
+                views.append(View(motion, matches(k)[:, 0], features.pixels[matches(k)[:, 1]].astype(float)))
                 motion = None
         if len(views) < MIN_VIEWS:
+            counts = ", ".join(str(len(matches(k))) for k in sorted(chosen))
             raise InsufficientEvidence(
-                f"of {len(descriptors)} points only {', '.join(map(str, counts))} are matched in later frames; "
-                f"{MIN_VIEWS} frames with {MIN_MATCHES} are needed"
+                f"of {len(descriptors)} points only {counts} are matched in the next frames; {MIN_VIEWS} frames with "
+                f"{MIN_MATCHES} are needed: take images more often, fly slower or higher, or over richer ground"
             )
         return views
 
@@ -193,8 +203,8 @@ class InFlightInitializer:
         enough = (found.inliers >= MIN_MATCHES).sum() >= MIN_VIEWS
         if not enough or agreeing < MIN_AGREEING * matched:
             raise InsufficientEvidence(
-                f"{agreeing} of {matched} matches fit one motion; check calibration, IMU axes and units, "
-                "imu.gyro_bias_sigma and backend.sigma_px"
+                f"only {agreeing} of {matched} matches in {len(views)} frames fit one motion; check calibration, "
+                "IMU axes and units, imu.gyro_bias_sigma and backend.sigma_px"
             )
         span_s = sum(view.motion.dt_s for view in views)
         turn = float(np.linalg.norm(found.gyro_bias)) * span_s
@@ -206,8 +216,10 @@ class InFlightInitializer:
         start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt_rad(found)))
         velocity = float(np.sqrt(np.linalg.eigvalsh(found.covariance[VELOCITY, VELOCITY])[-1]))
         if velocity > start.velocity_sigma or tilt_deg > self._max_tilt_sigma_deg:
+            bias_deg = np.rad2deg(self._config.imu.accel_bias_sigma / self._config.imu.gravity)
             raise InsufficientEvidence(
                 f"velocity is known to {velocity:.2f} m/s and tilt to {tilt_deg:.2f} deg only, not to "
-                f"{start.velocity_sigma:g} m/s and {self._max_tilt_sigma_deg:g} deg; raise start.velocity_sigma, or "
-                "fly with more parallax and more acceleration"
+                f"{start.velocity_sigma:g} m/s and {self._max_tilt_sigma_deg:g} deg; start.velocity_sigma sets the "
+                f"former, imu.accel_bias_sigma leaves {bias_deg:.2f} deg of the latter, and more points that stay in "
+                "view longer improve both"
             )

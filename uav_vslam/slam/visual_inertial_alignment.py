@@ -138,7 +138,7 @@ def _solve(
     motion = _Motion.through(views)
     z, seen = _table(pixels, views)
     points = rig.T_body_left.apply(rig.triangulate(pixels))
-    x = _first_guess(rig, motion, z, points, imu.gravity)
+    x = _first_guess(rig, motion, z, seen, points, imu.gravity)
     by_x, T_map_body = motion.by_x, Pose.identity()
     if known is not None:
         by_x, T_map_body = block_diag(by_x, np.eye(POSE_DIM)), known.T_map_body
@@ -211,7 +211,9 @@ def _table(pixels: Array, views: list[View]) -> tuple[Array, NDArray[np.bool_]]:
     return z, seen
 
 
-def _first_guess(rig: StereoRig, motion: _Motion, z: Array, points: Array, gravity: float) -> Array:
+def _first_guess(
+    rig: StereoRig, motion: _Motion, z: Array, seen: NDArray[np.bool_], points: Array, gravity: float
+) -> Array:
     """Return x of an unaccelerated vehicle, with the median of the single points' velocities."""
     x = np.zeros(motion.by_x.shape[1])
     t, moved = motion.times_s[1:, None], motion.delta_p[1:]
@@ -219,7 +221,7 @@ def _first_guess(rig: StereoRig, motion: _Motion, z: Array, points: Array, gravi
     x[GRAVITY] = -gravity * force / np.linalg.norm(force)
     found = rig.T_body_left.apply(rig.triangulate(z[:, 1:])).reshape(len(points), len(t), 3)
     displacement = points[:, None] - np.einsum("kij,nkj->nki", motion.delta_R[1:], found)
-    velocities = ((displacement - 0.5 * x[GRAVITY] * t**2 - moved) / t).reshape(-1, 3)
+    velocities = ((displacement - 0.5 * x[GRAVITY] * t**2 - moved) / t)[seen[:, 1:]]
     finite = np.isfinite(velocities).all(axis=1)
     if finite.any():
         x[VELOCITY] = np.median(velocities[finite], axis=0)
