@@ -60,6 +60,18 @@ def test_innovations_points_and_claims_are_those_of_the_frames(judged):
     np.testing.assert_allclose(heading.lines[-1].get_ydata(), np.degrees(0.5))
 
 
+def test_the_scale_of_a_row_holds_what_every_vehicle_has_in_it(judged):
+    """The second vehicle has more features than the first, whose scale it shares."""
+    first = judged.vehicles["uav1"]
+    many = tuple(dataclasses.replace(frame(k), features=400) for k in range(100))
+    second = dataclasses.replace(first, name="uav2", frames=many)
+    axes = quality_plot(dataclasses.replace(judged, vehicles={"uav1": first, "uav2": second})).axes
+    for row in axes[2:]:  # below the innovations, whose scale is logarithmic
+        low, high = row.get_ylim()
+        assert low == 0
+        assert high > max(np.max(line.get_ydata()) for line in row.lines if line.get_color() != EVENT)
+
+
 def _rgb(colour):
     return tuple(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
 

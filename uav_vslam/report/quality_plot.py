@@ -31,6 +31,8 @@ def quality_plot(result: FlightResult) -> Figure | None:
         column[0].set_title(vehicle.name)
         column[-1].set_xlabel("Time [s]")
     plain_log(grid[0, 0], "y")
+    for axes in grid[1:, 0]:
+        axes.set_ylim(bottom=0)  # once all is drawn: the limit of a row is then kept
     for axes, label in zip(grid[:, 0], ("NIS / dof", "Points", "1σ position [m]", "1σ heading [deg]"), strict=True):
         axes.set_ylabel(label)
     figure.suptitle(f"{result.name}: S-SLAM without ground truth; shaded: coasted, dashed: reported problem")
@@ -50,7 +52,6 @@ def _draw(column: NDArray[Any], vehicle: VehicleResult) -> None:
     _draw_innovations(column[0], frames, seconds)
     for name, colour in POINTS.items():
         column[1].plot(seconds, [getattr(frame, name) for frame in frames], color=colour, linewidth=1.2, label=name)
-    column[1].set_ylim(bottom=0)
     if track.covariance is not None:
         position_m, heading_rad = claimed_sigma(track)
         since_start = (track.stamps_ns - start_ns) / NS_PER_S
