@@ -67,6 +67,16 @@ def test_traffic_of_the_epochs_sums_to_that_since_the_start(data: dict) -> None:
     assert lines(total)["received"]["y"][-1] == 8.1  # kB
 
 
+def test_the_traffic_of_the_first_epoch_is_that_since_the_flights_start(tmp_path: Path) -> None:
+    folder = write_full(tmp_path)
+    path = folder / "uav1_link.csv"
+    head, _, *rows = path.read_text().splitlines()  # the first epoch ends after a second, with 1 kB sent
+    path.write_text("\n".join([head, *rows]) + "\n")
+    each, total = figure_sections([read_flight(folder, "full")])[1]["link"]["cells"][0]["charts"]
+    assert (lines(each)["sent"]["x"][:2], lines(each)["sent"]["y"][:2]) == ([0, 1], [0, 1])
+    assert (lines(total)["sent"]["x"][:2], lines(total)["sent"]["y"][:2]) == ([0, 1], [0, 1])
+
+
 def test_times_are_in_milliseconds(data: dict) -> None:
     chart = data["timing"]["cells"][0]["charts"][0]
     assert {label: set(line["y"]) for label, line in lines(chart).items()} == {"Front end": {10}, "Back end": {30}}

@@ -68,8 +68,12 @@ def link_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the traffic of each epoch and its sum; none without packets."""
     if "link" not in vehicle.tables:
         return []
-    x = _seconds(flight, vehicle, "link")
-    sums = {name: _column(vehicle, "link", f"bytes_{name}") / KB for name in ("sent", "received")}
+    start = flight.seconds_of(vehicle.tracks["s_slam"].stamps_ns[:1]) if "s_slam" in vehicle.tracks else np.zeros(0)
+    x = np.append(start, _seconds(flight, vehicle, "link"))  # nothing was sent before the first epoch began
+    sums = {
+        name: np.append(np.zeros(len(start)), _column(vehicle, "link", f"bytes_{name}") / KB)
+        for name in ("sent", "received")
+    }
     if not any(total.any() for total in sums.values()):
         return []
     colours = {"sent": "line-0", "received": "line-1"}
