@@ -15,10 +15,10 @@ export function drawFigures(figures, clock) {
   const style = document.createElement("style");
   style.textContent = uplotStyle;
   document.head.prepend(style);
+  const span = timeSpan(Object.values(figures).flatMap((figure) => figure.cells));
   for (const holder of document.querySelectorAll("[data-figure]")) {
     const figure = figures[holder.dataset.figure];
     const ranges = rowRanges(figure.cells);
-    const span = timeSpan(figure.cells);
     for (const cell of figure.cells) holder.append(drawCell(figure, cell, ranges, span, clock));
   }
   onScheme(() => charts.forEach((chart) => chart.redraw()));
@@ -82,7 +82,7 @@ function drawChart(holder, chart, { range, span }, clock) {
 /** Returns whether limits of the time are those of a chart's own data, not what the reader has chosen. */
 function isWhole(plot, low, high) {
   const times = plot.data[0];
-  return low == null || (low <= times[0] && high >= times.at(-1));
+  return low == null || (low === times[0] && high === times.at(-1));
 }
 
 function axis(label, size, isLog = false) {

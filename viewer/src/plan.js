@@ -14,6 +14,8 @@ export class PlanView {
     Object.assign(this, { holder, state, clock });
     this.canvas = document.createElement("canvas");
     this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "Trajectories and landmarks from above");
+    holder.setAttribute("role", "group");
     holder.setAttribute("aria-label", "Plan view of trajectories and landmarks; arrow keys move, + and - zoom, 0 fits");
     this.note = document.createElement("div");
     this.note.className = "note";
@@ -259,7 +261,7 @@ export class PlanView {
     ink.strokeStyle = colour(track.colour);
     ink.lineWidth = track.width;
     ink.lineJoin = "round";
-    ink.setLineDash(track.dashed ? [6, 4] : []);
+    ink.setLineDash(track.dash);
     ink.beginPath();
     track.x.forEach((x, k) => ink.lineTo(...this.pixel(x, track.y[k])));
     ink.stroke();

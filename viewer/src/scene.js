@@ -5,6 +5,7 @@ import { colour, onScheme } from "./theme.js";
 import { SpaceView } from "./space.js";
 
 const ORDER = ["truth", "ins", "s_slam", "smoothed", "c_slam"]; // drawn one above another
+const DASHES = { one: { ins: [6, 4] }, several: { ins: [2, 3], s_slam: [6, 4], smoothed: [12, 3, 2, 3] } }; // [px], else solid
 const FIRST_SHOWN = { one: ORDER, several: ["truth", "c_slam"] };
 
 /** Shows the scene; the clock's end becomes the end of the longest flight. */
@@ -26,6 +27,7 @@ export function showScene(element, scene, clock) {
 class SceneState {
   constructor({ flights, tracks }) {
     this.several = flights.length > 1;
+    this.dashes = this.several ? DASHES.several : DASHES.one; // of several runs, whose colours tell the runs apart
     this.flights = flights.map((flight) => flight.label);
     this.vehicles = [...new Set(flights.flatMap((flight) => flight.vehicles.map((vehicle) => vehicle.name)))];
     this.tracks = [];
@@ -44,8 +46,8 @@ class SceneState {
     const own = `line-${(this.several ? k : this.vehicles.indexOf(vehicle.name)) % 7}`;
     for (const [kind, track] of Object.entries(vehicle.tracks)) {
       const name = this.several && kind !== "truth" ? own : `track-${kind}`;
-      const dashed = kind === "ins" || (this.several && kind === "s_slam");
-      this.tracks.push({ ...track, kind, flight, vehicle: vehicle.name, colour: name, width: styles[kind].width, dashed });
+      const [dash, { width }] = [this.dashes[kind] ?? [], styles[kind]];
+      this.tracks.push({ ...track, kind, flight, vehicle: vehicle.name, colour: name, width, dash });
     }
     if (vehicle.landmarks) this.landmarks.push({ ...vehicle.landmarks, flight, vehicle: vehicle.name, colour: own });
   }
@@ -77,25 +79,25 @@ class SceneState {
 
 function buildLayers(element, state) {
   const groups = [];
-  if (state.several) groups.push(["Runs", state.flights.map((name, k) => [`flight ${name}`, name, `line-${k % 7}`])]);
+  if (state.several) groups.push(["Runs", state.flights.map((name, k) => [`flight ${name}`, name, line(`line-${k % 7}`)])]);
   const isMapped = !state.several && state.landmarks.length; // a vehicle's own colour is that of its landmarks
-  const own = (name, k) => [`vehicle ${name}`, name, isMapped ? `line-${k % 7}` : null];
-  groups.push(["Vehicles", state.vehicles.map(own)]);
-  const kind = (name) => [`track ${name}`, state.labels[name], state.several && name !== "truth" ? null : `track-${name}`];
+  groups.push(["Vehicles", state.vehicles.map((name, k) => [`vehicle ${name}`, name, isMapped ? dot(`line-${k % 7}`) : ""])]);
+  const colourOf = (name) => (state.several && name !== "truth" ? "ink" : `track-${name}`);
+  const kind = (name) => [`track ${name}`, state.labels[name], line(colourOf(name), state.dashes[name])];
   groups.push(["Tracks", state.kinds.map(kind)]);
   if (state.landmarks.length) {
-    groups.push(["Map", [["landmarks", "Landmarks", null], ["ellipses", "1σ ellipses", null]]]);
+    groups.push(["Map", [["landmarks", "Landmarks", ""], ["ellipses", "1σ ellipses", ""]]]);
   }
   for (const [title, items] of groups) {
     const set = document.createElement("fieldset");
     const legend = document.createElement("legend");
     legend.textContent = title;
-    set.append(legend, ...items.map(([key, text, name]) => checkbox(state, key, text, name)));
+    set.append(legend, ...items.map((item) => checkbox(state, ...item)));
     element.append(set);
   }
 }
 
-function checkbox(state, key, text, name) {
+function checkbox(state, key, text, mark) {
   const label = document.createElement("label");
   const box = document.createElement("input");
   box.type = "checkbox";
@@ -105,15 +107,13 @@ function checkbox(state, key, text, name) {
     state.onChange();
   });
   label.append(box, text);
-  if (name) {
-    const swatch = document.createElement("span");
-    swatch.className = "swatch";
-    swatch.style.borderTopColor = `var(--${name})`;
-    if (name === "track-ins") swatch.style.borderTopStyle = "dashed";
-    label.append(swatch);
-  }
+  label.insertAdjacentHTML("beforeend", mark);
   return label;
 }
+
+const swatch = (name, shape) => `<svg class="swatch" width="28" height="8" style="color:var(--${name})">${shape}</svg>`;
+const line = (name, dash = []) => swatch(name, `<path d="M0 4H28" stroke-width="3" stroke-dasharray="${dash}"/>`);
+const dot = (name) => swatch(name, '<circle cx="6" cy="4" r="3"/>');
 
 /** Returns the place of a track at a time, linearly between its poses, and the pose before; null outside its span. */
 export function poseAt(track, time) {

@@ -98,9 +98,9 @@ export class SpaceView {
     const material = new LineMaterial({
       color: colour(track.colour),
       linewidth: track.kind === "truth" ? 4 : Math.max(track.width, 1.5),
-      dashed: track.dashed,
-      dashSize: this.length / 80,
-      gapSize: this.length / 120,
+      dashed: track.dash.length > 0,
+      dashSize: ((track.dash[0] ?? 1) * this.length) / 480,
+      gapSize: ((track.dash[1] ?? 1) * this.length) / 480,
       depthWrite: false, // tracks lie within each other: those added later are drawn above
     });
     material.resolution.set(this.holder.clientWidth, this.holder.clientHeight);

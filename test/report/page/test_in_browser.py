@@ -112,6 +112,59 @@ def test_pointing_at_the_plan_view_reads_it(opened: Browser) -> None:
     assert " m" in text
 
 
+def point_at(chromium: Browser, figure: str, shares: list[float], *, drag: bool = False) -> None:
+    """Point at shares of the width of a figure's first chart, one after another."""
+    chromium.evaluate(f"document.querySelector('{figure}').scrollIntoView({{behavior: 'instant'}})")
+    box = chromium.evaluate(f"document.querySelector('{figure} .u-over').getBoundingClientRect().toJSON()")
+    places = [{"x": box["left"] + share * box["width"], "y": (box["top"] + box["bottom"]) / 2} for share in shares]
+    held = {"button": "left", "clickCount": 1}
+    for k, place in enumerate(places):
+        chromium.call("Input.dispatchMouseEvent", type="mouseMoved", **place, **(held if drag and k else {}))
+        if drag and k == 0:
+            chromium.call("Input.dispatchMouseEvent", type="mousePressed", **place, **held)
+    if drag:
+        chromium.call("Input.dispatchMouseEvent", type="mouseReleased", **places[-1], **held)
+    chromium.evaluate("new Promise((done) => setTimeout(done, 200))")
+
+
+def shown_time(chromium: Browser, figure: str) -> float:
+    return float(chromium.evaluate(f"document.querySelector('{figure} .u-legend .u-value').textContent"))
+
+
+def test_all_charts_share_the_time_whole_and_zoomed_and_nothing_moves(chromium: Browser, page: Path) -> None:
+    """The frames last 9.9 s, the fusion epochs 9 s."""
+    chromium.open(page)
+    height = chromium.evaluate("document.documentElement.scrollHeight")
+    point_at(chromium, "#link", [0.4, 0.99])
+    assert shown_time(chromium, "#errors") == pytest.approx(0.99 * 9.9, abs=0.1)
+    assert chromium.evaluate("document.documentElement.scrollHeight") == height
+    point_at(chromium, "#errors", [0.0, 0.3, 0.6, 0.94], drag=True)
+    point_at(chromium, "#link", [0.4, 0.99])
+    assert shown_time(chromium, "#errors") == pytest.approx(0.99 * 0.94 * 9.9, abs=0.1)
+
+
+def test_what_can_be_operated_or_stands_for_a_picture_has_a_role_and_a_name(opened: Browser) -> None:
+    bare = """[...document.querySelectorAll('[role=img], [tabindex], img, button, input')].filter((one) => {
+      const role = one.getAttribute('role') ?? (/^(IMG|BUTTON|INPUT|PRE)$/.test(one.tagName) ? 'its own' : '');
+      const name = one.getAttribute('aria-label') || one.alt || one.textContent.trim() || one.labels?.length;
+      return !role || !name;
+    }).map((one) => one.outerHTML.slice(0, 120))"""
+    assert opened.evaluate(bare) == []
+
+
+def marks(chromium: Browser) -> dict[str, str]:
+    """Return what stands beside each thing that can be hidden: the dashes of its line, or a dot."""
+    return chromium.evaluate("""Object.fromEntries([...document.querySelectorAll('.layers label')].map((label) => [
+      label.textContent,
+      label.querySelector('circle') ? 'dot' : label.querySelector('path')?.getAttribute('stroke-dasharray') ?? ''
+    ]))""")
+
+
+def test_a_vehicle_has_the_mark_of_its_landmarks_and_a_track_that_of_its_line(opened: Browser) -> None:
+    found = marks(opened)
+    assert (found["uav1"], found["uav2"], found["INS"], found["S-SLAM"]) == ("dot", "dot", "6,4", "")
+
+
 def test_a_click_on_a_title_sorts_the_table(opened: Browser) -> None:
     column = "[...document.querySelectorAll('#scores tbody')][0].querySelectorAll('tr td:nth-child(3)')"
     click = "document.querySelectorAll('#scores thead button')[2].click()"
@@ -142,6 +195,12 @@ def test_the_page_of_a_flight_opens(chromium: Browser, page: Path, tmp_path: Pat
     charts = sum(len(cell["charts"]) for figure in figures(page).values() for cell in figure["cells"])
     assert chromium.evaluate("document.querySelectorAll('[data-figure] canvas').length") == charts
     assert chromium.complaints == []
+
+
+def test_tracks_of_several_flights_differ_in_their_dashes(chromium: Browser, page: Path, tmp_path: Path) -> None:
+    chromium.open(write_page([page.parent, write_bare(tmp_path)], tmp_path / "page.html"))
+    kinds = ("INS", "S-SLAM", "Smoothed", "C-SLAM")  # their colour is that of the flight
+    assert len({marks(chromium)[kind] for kind in kinds}) == len(kinds)
 
 
 def test_pages_of_two_flights_and_of_a_bare_one_open(chromium: Browser, page: Path, tmp_path: Path) -> None:

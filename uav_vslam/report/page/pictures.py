@@ -46,9 +46,8 @@ def figure(source: tuple[str, tuple[int, int]], text: str) -> Markup:
     """Return a picture with its caption, which a script lets the reader move and enlarge."""
     where, (width, height) = source
     image = void("img", src=where, alt=text, width=str(width), height=str(height), loading="lazy")
-    held = tag(
-        "div", image, data_pan=True, class_="pan", tabindex="0", aria_label=f"{text}; arrow keys, + and - move it"
-    )
+    keys = f"{text}; arrow keys, + and - move it"
+    held = tag("div", image, data_pan=True, class_="pan", tabindex="0", role="group", aria_label=keys)
     return tag("figure", held, tag("figcaption", text))
 
 
