@@ -35,6 +35,18 @@ def test_ellipsoids_have_the_covariance_of_the_landmarks(scene: dict) -> None:
     np.testing.assert_allclose(lower @ lower.transpose(0, 2, 1), np.tile(COVARIANCE, (LANDMARKS, 1, 1)), atol=1e-3)
 
 
+def test_landmarks_with_a_cell_that_is_no_number_are_left_out(tmp_path: Path) -> None:
+    folder = write_full(tmp_path)
+    path = folder / "uav1_landmarks.csv"
+    head, first, second, *rows = path.read_text().splitlines()
+    bad = [first.replace(first.split(",")[1], "nan", 1), second.rsplit(",", 1)[0] + ","]
+    path.write_text("\n".join([head, *bad, *rows]) + "\n")
+    landmarks = scene_data([read_flight(folder, "full")])["flights"][0]["vehicles"][0]["landmarks"]
+    assert landmarks["count"] == len(landmarks["x"]) == LANDMARKS - 2
+    path.write_text("\n".join([head, *bad]) + "\n")
+    assert scene_data([read_flight(folder, "full")])["flights"][0]["vehicles"][0]["landmarks"] is None
+
+
 def test_without_a_map_there_are_no_landmarks(tmp_path: Path) -> None:
     bare = scene_data([read_flight(write_bare(tmp_path), "bare")])["flights"][0]["vehicles"][0]
     assert bare["landmarks"] is None

@@ -53,13 +53,20 @@ def _track(flight: FlightFiles, track: Trajectory, most: int) -> Data:
 
 
 def _landmarks(vehicle: VehicleFiles, most: int) -> Data | None:
-    """Return positions, and the lower triangle L of P = L L^T of each, which maps the unit sphere to its ellipsoid."""
+    """Return positions, and the lower triangle L of P = L L^T of each, which maps the unit sphere to its ellipsoid.
+
+    Landmarks with a cell that is empty or not finite are left out.
+    """
     table = vehicle.tables.get("landmarks")
     if not table or not table["id"]:
         return None
     path = vehicle.folder / f"{vehicle.name}_landmarks.csv"
     positions = np.stack([column(table[name], path) for name in ("x_m", "y_m", "z_m")], axis=1)
     cells = np.stack([column(table[name], path) for name in COVARIANCE], axis=1)
+    whole = np.isfinite(positions).all(axis=1) & np.isfinite(cells).all(axis=1)
+    positions, cells = positions[whole], cells[whole]
+    if len(positions) == 0:
+        return None
     rows = thinned(len(positions), most)
     x, y, z = (numbers(values, decimals=2) for values in positions[rows].T)
     factors = numbers(_lower(cells[rows])[:, COLUMNS, ROWS].ravel())
