@@ -67,7 +67,7 @@ function drawChart(holder, chart, { range, span }, clock) {
       x: { time: false, range: (u, low, high) => (isWhole(u, low, high) ? span : [low, high]) },
       y: { distr: chart.log ? 3 : 1, range: () => range },
     },
-    axes: [axis("Time [s]", 30), axis(chart.title, 50, chart.log)],
+    axes: [axis("Time [s]", 30), axis(chart.title, 50)],
     series: [{ label: "Time [s]", value: (u, v) => (v == null ? "–" : v.toFixed(2)) }, ...chart.lines.map(series)],
     hooks: { drawClear: [(u) => drawBelow(u, chart)], draw: [(u) => drawTime(u, clock)] },
   };
@@ -82,10 +82,10 @@ function drawChart(holder, chart, { range, span }, clock) {
 /** Returns whether limits of the time are those of a chart's own data, not what the reader has chosen. */
 function isWhole(plot, low, high) {
   const times = plot.data[0];
-  return low == null || (low === times[0] && high === times.at(-1));
+  return low == null || times.length < 2 || (low === times[0] && high === times.at(-1));
 }
 
-function axis(label, size, isLog = false) {
+function axis(label, size) {
   return {
     label,
     labelSize: 18,
@@ -96,8 +96,14 @@ function axis(label, size, isLog = false) {
     stroke: () => colour("faint"),
     grid: { stroke: () => colour("grid"), width: 1 },
     ticks: { stroke: () => colour("grid"), width: 1 },
-    ...(isLog ? { values: (u, values) => values.map((v) => (v == null ? null : String(Number(v.toPrecision(6))))) } : {}),
+    values: (u, values) => values.map((v) => (v == null ? null : short(Number(v.toPrecision(6))))),
   };
+}
+
+/** Returns a number that has room beside an axis. */
+function short(value) {
+  const size = Math.abs(value);
+  return size >= 1e5 || (size > 0 && size < 1e-3) ? value.toExponential().replace("e+", "e") : String(value);
 }
 
 function series(line) {
@@ -106,11 +112,21 @@ function series(line) {
     stroke: () => colour(line.colour),
     width: line.width,
     dash: line.dashed ? [6, 4] : undefined,
-    spanGaps: true,
     paths: line.stepped ? uPlot.paths.stepped({ align: line.stepped === "after" ? 1 : -1 }) : undefined,
-    points: { show: line.x.length < FEW && !line.dashed && line.stepped === "", size: 3.5, fill: () => colour(line.colour) },
+    points: {
+      show: line.x.length < FEW && !line.dashed && line.stepped === "",
+      filter: (u, k, all) => (all ? null : lone(u.data[k])),
+      size: 3.5,
+      fill: () => colour(line.colour),
+    },
     value: (u, v) => (v == null ? "–" : String(Number(v.toPrecision(4)))),
   };
+}
+
+/** Returns the rows of values between two gaps (null), to which no line leads; of other lines' times they are undefined. */
+function lone(values) {
+  const own = [...values.keys()].filter((k) => values[k] !== undefined);
+  return own.filter((k, n) => values[k] !== null && values[own[n - 1]] == null && values[own[n + 1]] == null);
 }
 
 function addBandLegend(holder, chart) {
@@ -142,7 +158,10 @@ function drawBelow(plot, chart) {
   ctx.clip();
   const x = (value) => plot.valToPos(value, "x", true);
   ctx.fillStyle = colour("coasted");
-  chart.shades.forEach(([from, to]) => ctx.fillRect(x(from), bbox.top, x(to) - x(from), bbox.height));
+  for (const [from, to] of chart.shades) { // whole pixels: no seam between one and the next
+    const left = Math.floor(x(from));
+    ctx.fillRect(left, bbox.top, Math.ceil(x(to)) - left, bbox.height);
+  }
   chart.bands.forEach((band) => drawBand(plot, band, x));
   ctx.strokeStyle = colour("mark");
   ctx.setLineDash([5, 4]);

@@ -131,18 +131,6 @@ def shown_time(chromium: Browser, figure: str) -> float:
     return float(chromium.evaluate(f"document.querySelector('{figure} .u-legend .u-value').textContent"))
 
 
-def test_all_charts_share_the_time_whole_and_zoomed_and_nothing_moves(chromium: Browser, page: Path) -> None:
-    """The frames last 9.9 s, the fusion epochs 9 s."""
-    chromium.open(page)
-    height = chromium.evaluate("document.documentElement.scrollHeight")
-    point_at(chromium, "#link", [0.4, 0.99])
-    assert shown_time(chromium, "#errors") == pytest.approx(0.99 * 9.9, abs=0.1)
-    assert chromium.evaluate("document.documentElement.scrollHeight") == height
-    point_at(chromium, "#errors", [0.0, 0.3, 0.6, 0.94], drag=True)
-    point_at(chromium, "#link", [0.4, 0.99])
-    assert shown_time(chromium, "#errors") == pytest.approx(0.99 * 0.94 * 9.9, abs=0.1)
-
-
 def test_what_can_be_operated_or_stands_for_a_picture_has_a_role_and_a_name(opened: Browser) -> None:
     bare = """[...document.querySelectorAll('[role=img], [tabindex], img, button, input')].filter((one) => {
       const role = one.getAttribute('role') ?? (/^(IMG|BUTTON|INPUT|PRE)$/.test(one.tagName) ? 'its own' : '');
@@ -182,6 +170,40 @@ def test_a_picture_that_can_be_moved_is_seen_as_a_whole_at_first(opened: Browser
     shown, whole = (opened.evaluate(f"{box}{part}.clientHeight") for part in ("", ".querySelector('img')"))
     opened.resize(1280, 900)
     assert 0 < whole <= shown <= 0.8 * 400
+
+
+def test_all_charts_share_the_time_whole_and_zoomed_and_nothing_moves(chromium: Browser, page: Path) -> None:
+    """The frames last 9.9 s, the fusion epochs 9 s."""
+    chromium.open(page)
+    height = chromium.evaluate("document.documentElement.scrollHeight")
+    point_at(chromium, "#link", [0.4, 0.99])
+    assert shown_time(chromium, "#errors") == pytest.approx(0.99 * 9.9, abs=0.1)
+    assert chromium.evaluate("document.documentElement.scrollHeight") == height
+    point_at(chromium, "#errors", [0.0, 0.3, 0.6, 0.94], drag=True)
+    point_at(chromium, "#link", [0.4, 0.99])
+    assert shown_time(chromium, "#errors") == pytest.approx(0.99 * 0.94 * 9.9, abs=0.1)
+
+
+def test_gaps_lone_values_single_poses_and_huge_numbers_are_drawn(chromium: Browser, tmp_path: Path) -> None:
+    """NIS of every other frame only, so that no line is drawn, and huge; a track of a single pose."""
+    folder = write_full(tmp_path)
+    head, *rows = (folder / "uav1_frames.csv").read_text().splitlines()
+    nis = head.split(",").index("nis_per_dof")
+    cells = [row.split(",") for row in rows]
+    for k, row in enumerate(cells):
+        row[nis] = ("1e12", "", "1e3", "")[k % 4]
+    (folder / "uav1_frames.csv").write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n")
+    for path in folder.glob("uav2_*_slam.*"):
+        path.write_text("\n".join(path.read_text().splitlines()[: 2 if path.suffix == ".csv" else 1]) + "\n")
+    chromium.open(write_page([folder]))
+    check_opened(chromium)
+    box = chromium.evaluate(COLOURS % "#innovations .u-over")
+    image = cv2.imread(str(chromium.picture(tmp_path / "seen.png")))
+    part = image[int(box["top"]) : int(box["bottom"]), int(box["left"]) : int(box["right"])]
+    dark = (part.max(axis=2) < 60).sum()  # pixels of S-SLAM's points
+    assert 100 < dark < 1000  # 50 points, and no line between them
+    point_at(chromium, "#errors .cells > :last-child", [0.5])
+    assert shown_time(chromium, "#errors") == pytest.approx(0.5 * 9.9, abs=0.1)
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "dark"), (390, "light")])

@@ -28,7 +28,7 @@ def innovation_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]
         "NIS / dof",
         (
             Line("expected", "grey", x[rows[[0, -1]]], np.ones(2), width=1.0, dashed=True),
-            Line("S-SLAM", "track-s_slam", x[rows], value[rows]),
+            Line("S-SLAM", "track-s_slam", x, np.where(value > 0, value, np.nan)),
         ),
         (Band("95 % band", "band", x[rows], low, high),),
         log=True,
