@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 SIGMAS = 2.0
 RINGS = 24
+TICKS = 5  # of an axis at most: the labels of more overlap where it is foreshortened
 
 
 def ellipsoid_plot(result: FlightResult) -> Figure | None:
@@ -39,6 +40,7 @@ def ellipsoid_plot(result: FlightResult) -> Figure | None:
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
         axes.set(xlabel="East [m]", ylabel="North [m]", zlabel="Up [m]", title=vehicle.name)
         axes.set_box_aspect((1, 1, 1), zoom=1.0)
+        axes.locator_params(nbins=TICKS)
     handles = [
         Line2D([], [], color=STYLES[n].colour, label=f"{STYLES[n].label}, 2 sigma") for n in ("s_slam", "c_slam")
     ]
