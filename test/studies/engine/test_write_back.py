@@ -4,6 +4,8 @@
 That a baseline fails proves nothing about its code: each is held against dense algebra on a small problem.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -55,7 +57,7 @@ def own(rng: np.random.Generator) -> Filter:
     """A filter with plain additive errors (`so15`), five landmarks, and a belief that correlates all."""
     vehicle = simulate_vehicle(Scenario(frames=2, vehicles=1), 0)
     found = Filter(vehicle.initial, rig=vehicle.rig, imu=vehicle.scenario.imu_config, model="so15")
-    found.landmarks = rng.uniform(-20.0, 20.0, (LANDMARKS, 3))
+    found.mean = dataclasses.replace(found.mean, landmarks=rng.uniform(-20.0, 20.0, (LANDMARKS, 3)))
     found.belief = InformationBelief(np.linalg.inv(spd(rng, NAV + 3 * LANDMARKS)), NAV)
     return found
 
