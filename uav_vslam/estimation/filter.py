@@ -155,15 +155,15 @@ class Filter:
         Raises:
             FilterDivergence: no camera has these.
         """
-        if self._rig_at is not self.rig_state:  # cached: read a dozen times a frame
-            self._rig_at, self._rig = self.rig_state, self._rig_with(self.rig_state)
-        return self._rig
+        return self._rig_with(self.rig_state)
 
     def _rig_with(self, state: RigState) -> StereoRig:
-        try:
-            return self._errors.rig(state)
-        except CalibrationError as error:
-            raise FilterDivergence(f"errors of the calibration: {error}") from error
+        if self._rig_at is not state:  # cached: asked for a dozen times a frame
+            try:
+                self._rig_at, self._rig = state, self._errors.rig(state)
+            except CalibrationError as error:
+                raise FilterDivergence(f"errors of the calibration: {error}") from error
+        return self._rig
 
     @property
     def vehicle(self) -> int:

@@ -97,7 +97,7 @@ class RigListener:
             return
         fault = self._fault(self.rig)
         if fault != self._node.failures.get(CHANGED):
-            self._node.failures.pop(CHANGED, None)  # logged as well: the message before may have been half of a change
+            self._node.report_failure(CHANGED, "")  # so that it is logged: the one before may be half of a change
         self._node.report_failure(CHANGED, fault)
 
     def _fault(self, used: StereoRig) -> str:

@@ -92,7 +92,8 @@ class LocalMap:
         """Remove landmarks so that the cost of a frame stays bounded, and past poses that have left the window."""
         removed = np.zeros(0, np.intp)
         if len(self._map):
-            view = MapView(self._map, self._filter.landmarks, self._variance, self._in_view(frame), frame)
+            in_view = self._in_view(self._filter.points_left(), frame)
+            view = MapView(self._map, self._filter.landmarks, self._variance, in_view, frame)
             removed = rows_to_remove(view, self._config)
         past = self._window.drop_oldest(self._filter)
         if len(removed) or len(past):
@@ -158,18 +159,18 @@ class LocalMap:
             self._map.append(features.descriptors[chosen], frame, features.tracks[chosen])
         return chosen
 
-    def _in_view(self, frame: int) -> NDArray[np.bool_]:
-        """Return (N,) which landmarks a frame should show.
+    def _in_view(self, points_left: NDArray[np.float64], frame: int) -> NDArray[np.bool_]:
+        """Return (N,) which landmarks, at (N, 3) in the left camera, a frame should show.
 
         Those that frames have not shown for long count as gone: in hover and in a vertical climb they stay in the image
         for good, and would leave no room for points that can be seen.
         """
-        inside = projectable(self._filter.rig, self._filter.points_left())
-        return np.asarray(inside & ~self._map.long_unseen(frame))
+        return np.asarray(projectable(self._filter.rig, points_left) & ~self._map.long_unseen(frame))
 
     def _spread(self, pixels: NDArray[np.floating], frame: int, most: int) -> Rows:
         """Return the rows of at most so many of (N, 2) points; with the landmarks, they fill the image evenly."""
-        rig, points_left, in_view = self._filter.rig, self._filter.points_left(), self._in_view(frame)
+        rig, points_left = self._filter.rig, self._filter.points_left()
+        in_view = self._in_view(points_left, frame)
         room = min(most, self._config.max_in_view - int(in_view.sum()))
         taken = rig.left.project(points_left[in_view])
         return spread(pixels, max(0, room), size=rig.left.size, taken=taken)
