@@ -45,6 +45,12 @@ def test_a_moving_vehicle_is_rejected():
         static_alignment(resting(0.0, 0.0, noise=2.0), 10**9, IMU)
 
 
+def test_readings_in_g_are_rejected():
+    in_g = [ImuSample(s.stamp_ns, s.gyro, s.accel / IMU.gravity) for s in resting(0.0, 0.0)]
+    with pytest.raises(UavVslamError, match=r"measures 1 m/s\^2, where gravity is 9.81: check its unit"):
+        static_alignment(in_g, 10**9, IMU)
+
+
 def test_too_few_readings_are_rejected():
     with pytest.raises(UavVslamError, match="got 3"):
         static_alignment(resting(0.0, 0.0, count=3), 10**9, IMU)

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
@@ -25,6 +26,10 @@ class Flown:
 
     vehicle: SimulatedVehicle
     frames: tuple[tuple[StereoFeatures, ImuIncrement | None], ...]
+
+    def with_gyro_bias(self, bias: NDArray[np.float64]) -> list[tuple[StereoFeatures, ImuIncrement | None]]:
+        """Return the frames with increments of readings that contain a further bias, to first order."""
+        return [(features, step and _biased(step, np.asarray(bias))) for features, step in self.frames]
 
     def tracking_stage(self, sigma_px: float) -> SlamStage:
         """Return a stage that has rig and start state, for points with tracks of that noise."""
@@ -42,6 +47,16 @@ class Flown:
             errors.append(np.linalg.norm(error))
             nees.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
         return np.array(errors), np.array(nees)
+
+
+def _biased(step: ImuIncrement, bias: NDArray[np.float64]) -> ImuIncrement:
+    shift = step.bias_jacobian[:, :3] @ -bias
+    return dataclasses.replace(
+        step,
+        delta_R=step.delta_R @ so3_exp(shift[:3]),
+        delta_v=step.delta_v + shift[3:6],
+        delta_p=step.delta_p + shift[6:9],
+    )
 
 
 def _tracked(vehicle: SimulatedVehicle, sigma_px: float) -> list[StereoFeatures]:

@@ -151,21 +151,38 @@ def test_a_larger_uncertainty_than_configured_is_refused(flown) -> None:
 def test_a_gyro_bias_beyond_the_increments_linearisation_is_refused(flown) -> None:
     """A turn-on bias of 0.3 rad/s: increments are corrected for it to first order only."""
     flight = flown(1)
-    biased = [(f, i and with_gyro_bias(i, np.array([0.0, 0.0, 0.3]))) for f, i in flight.frames]
     search = InFlightInitializer(flight.vehicle.rig, config(imu=ImuConfig(gyro_bias_sigma=0.5)))
-    assert feed(search, biased) is None
+    assert feed(search, flight.with_gyro_bias([0.0, 0.0, 0.3])) is None
     assert "the gyro's bias alone rotates by 0.3" in search.reason
 
 
-def with_gyro_bias(increment, bias):
-    """Return the increment of readings that contain a bias, to first order."""
-    shift = increment.bias_jacobian[:, :3] @ -bias
-    return dataclasses.replace(
-        increment,
-        delta_R=increment.delta_R @ so3_exp(shift[:3]),
-        delta_v=increment.delta_v + shift[3:6],
-        delta_p=increment.delta_p + shift[6:9],
-    )
+@pytest.mark.parametrize("tracked_px", [None, 0.06])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_gyro_bias_far_beyond_its_sigma_is_found_and_named(flown, seed: int, tracked_px: float | None) -> None:
+    flight = flown(seed, tracked_px=tracked_px)
+    bias = np.array([0.02, -0.015, 0.01])
+    settings = config(backend=BackendConfig(sigma_px=tracked_px or 1.0))
+    expected = feed(InFlightInitializer(flight.vehicle.rig, settings), flight.frames)
+    found = feed(InFlightInitializer(flight.vehicle.rig, settings), flight.with_gyro_bias(bias))
+    assert expected is not None
+    assert found is not None
+    assert expected.warning == ""
+    assert "far beyond imu.gyro_bias_sigma, 0.0005 rad/s" in found.warning
+    error = found.initial.state.gyro_bias - bias - flight.vehicle.imu.gyro_bias[0]
+    assert np.linalg.norm(error) < 3.0 * np.sqrt(found.initial.covariance[9, 9])
+    assert velocity_error(flight.vehicle, found) < 2.0 * VELOCITY_M_S
+
+
+def test_an_accelerometer_in_g_is_named(flown) -> None:
+    flight = flown(1)
+    per_g = 1.0 / ImuConfig().gravity
+    in_g = [
+        (f, i and dataclasses.replace(i, delta_v=i.delta_v * per_g, delta_p=i.delta_p * per_g))
+        for f, i in flight.frames
+    ]
+    search = InFlightInitializer(flight.vehicle.rig, config())
+    assert feed(search, in_g) is None
+    assert "m/s^2, where gravity is 9.81: check its unit and scale" in search.reason
 
 
 def test_a_gap_in_the_motion_restarts_the_window(flown) -> None:

@@ -115,6 +115,17 @@ def test_in_flight_the_buffered_frames_are_processed_together(flown) -> None:
     assert not any(stage.dropped.values())
 
 
+def test_in_flight_a_gyro_bias_beyond_its_sigma_is_warned_of_once_and_the_filter_consistent(flown) -> None:
+    flight = flown(1, frames=48)
+    stage = make(flight, start=IN_FLIGHT)
+    outputs = feed(stage, flight.with_gyro_bias([0.02, -0.015, 0.01]))
+    assert len(outputs) == len(flight.frames)
+    assert ["imu.gyro_bias_sigma" in " ".join(output.warnings) for output in outputs] == [True] + [False] * 47
+    bias = outputs[-1].report.nav.state.gyro_bias - flight.vehicle.imu.gyro_bias[-1]
+    sigma = np.sqrt(np.diag(outputs[-1].report.nav.covariance)[9:12])
+    np.testing.assert_array_less(np.abs(bias - [0.02, -0.015, 0.01]), 4.0 * sigma)
+
+
 def test_in_flight_buffered_or_dropped_frames_count_as_before_the_start(flown) -> None:
     flight = flown(1)
     stage = make(flight, start=IN_FLIGHT)

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 MAX_RATE_STD = 0.05  # [rad/s] largest gyroscope noise at rest
 MAX_ACCEL_STD = 0.5  # [m/s^2] largest accelerometer noise at rest
+MOST_FORCE = 2.0  # times gravity, the mean force of a turn at 60 degrees of bank; its inverse is the least
 SIGMA_ORIGIN_M = 1e-3  # position and yaw define the frame, so are known
 SIGMA_YAW_RAD = 1e-3
 SIGMA_REST = 1e-2  # [m/s]
@@ -31,7 +32,7 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
         imu: noise, gravity and bias uncertainty.
 
     Raises:
-        UavVslamError: too few readings, or the vehicle moves.
+        UavVslamError: too few readings, or the vehicle moves, or they can't be of gravity.
     """
     gyro, accel = np.array([s.gyro for s in samples]), np.array([s.accel_at_imu for s in samples])
     if len(samples) < 10:
@@ -44,6 +45,8 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
             f"the vehicle moves (gyro {rate_std:.3f} rad/s, accelerometer {accel_std:.2f} m/s^2 rms): static alignment "
             "needs rest; set start.method: in_flight, or give an initial_state"
         )
+    if unlike := unlike_gravity(float(np.linalg.norm(accel.mean(axis=0))), imu):
+        raise UavVslamError(unlike)
     return levelled(
         stamp_ns,
         up_body=accel.mean(axis=0),
@@ -54,6 +57,13 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
         sigma_gyro_bias=max(MAX_RATE_STD / np.sqrt(len(samples)) * 0.1, 10 * imu.gyro_bias_walk),
         sigma_accel_bias=imu.accel_bias_sigma,
     )
+
+
+def unlike_gravity(force: float, imu: ImuConfig) -> str:
+    """Return what is wrong with the mean specific force of a start [m/s^2]; empty if it may be a vehicle's."""
+    if imu.gravity / MOST_FORCE < force < imu.gravity * MOST_FORCE:
+        return ""
+    return f"the accelerometer measures {force:.3g} m/s^2, where gravity is {imu.gravity:.3g}: check its unit and scale"
 
 
 def levelled(

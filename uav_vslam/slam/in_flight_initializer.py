@@ -6,21 +6,25 @@ then the filter starts at the window's first frame and processes them all. The m
 points of the first one: all of the window or, low and fast, its beginning. Its velocity and tilt are the mean of a
 prior wider than their error, so that these frames hardly count twice. But too wide a prior lets the filter follow the
 first frames' noise by degrees of tilt: it linearises there and is over-confident for the rest of the flight.
+
+So `imu.gyro_bias_sigma` counts, unless the frames contradict it: a bias far beyond it is found from them.
 """
 
 import bisect
+import dataclasses
 import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.alignment import levelled
+from uav_vslam.ins.alignment import levelled, unlike_gravity
 from uav_vslam.ins.increments import compose
-from uav_vslam.slam.visual_inertial_alignment import GRAVITY, VELOCITY, Alignment, View, align
+from uav_vslam.slam.visual_inertial_alignment import GRAVITY, GYRO_BIAS, VELOCITY, Alignment, View, align
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 from uav_vslam.vision.matching.nn_ratio import match_descriptors
 
@@ -32,7 +36,9 @@ MIN_MATCHES = 6  # of a view with the first frame
 MIN_VIEWS = 2  # later frames that see the first one's points, for velocity and gravity (6 unknowns)
 MAX_VIEWS = 8  # more views in the window add little
 MIN_AGREEING = 0.5  # share of the matches that must fit one motion
-PRIOR_PER_TILT_SIGMA = 2.0  # prior sigma over the window's own, which is mostly the accelerometer's bias
+PRIOR_PER_SIGMA = 2.0  # prior sigma of tilt over the window's own, which is mostly the accelerometer's bias
+ANY_GYRO_BIAS = 0.1  # [rad/s] prior sigma of a bias that contradicts the configured one
+MOST_BIAS_CHI2 = float(chdtri(3, 1e-4))  # of a bias that its configured sigma allows; clocks 5 ms apart reach 18
 MAX_BIAS_TURN_RAD = 0.1  # rotation by the gyro bias over the window; increments are corrected to first order only
 
 
@@ -47,10 +53,12 @@ class Start:
     Attributes:
         initial: state at the first of the frames.
         frames: all buffered frames with the increment up to each; None for the first.
+        warning: what the user is to check; normally empty.
     """
 
     initial: NavEstimate
     frames: list[Frame]
+    warning: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +71,7 @@ class Window:
         pixels: (N, 4) theirs [px].
         views: them in later frames.
         motion: at the first frame.
+        imu: the configured noise, with a spread of the gyro bias that the frames agree with.
     """
 
     first: StereoFeatures
@@ -70,6 +79,7 @@ class Window:
     pixels: NDArray[np.float64]
     views: list[View]
     motion: Alignment
+    imu: ImuConfig
 
 
 class InFlightInitializer:
@@ -138,34 +148,60 @@ class InFlightInitializer:
         Raises:
             InsufficientEvidence: it does not.
         """
-        return Start(self._start_state(self._window()), self._buffer)
+        window = self._window()
+        return Start(self._start_state(window), self._buffer, self._warning(window))
 
     def _window(self) -> Window:
         """Return the window's first points and its motion."""
         first = self._buffer[0][0]
         usable = np.flatnonzero(np.isfinite(self._rig.triangulate(first.pixels.astype(float))).all(axis=1))
         pixels, views = first.pixels[usable].astype(float), self._views(first.descriptors[usable])
-        found = align(self._rig, pixels, views, imu=self._config.imu, sigma_px=self._config.backend.sigma_px)
+        gained = sum(float(np.linalg.norm(view.motion.delta_v)) for view in views)
+        if unlike := unlike_gravity(gained / sum(view.motion.dt_s for view in views), self._config.imu):
+            raise InsufficientEvidence(unlike)
+        imu = self._imu(pixels, views)
+        found = align(self._rig, pixels, views, imu=imu, sigma_px=self._config.backend.sigma_px)
         self._validate(found, views)
-        return Window(first, usable, pixels, views, found)
+        return Window(first, usable, pixels, views, found, imu)
+
+    def _imu(self, pixels: NDArray[np.float64], views: list[View]) -> ImuConfig:
+        """Return the configured noise; where the frames contradict the spread of the gyro bias, it may be any."""
+        imu = self._config.imu
+        anything = dataclasses.replace(imu, gyro_bias_sigma=ANY_GYRO_BIAS)
+        free = align(self._rig, pixels, views, imu=anything, sigma_px=self._config.backend.sigma_px)
+        expected = free.covariance[GYRO_BIAS, GYRO_BIAS] + imu.gyro_bias_sigma**2 * np.eye(3)
+        chi2 = free.gyro_bias @ np.linalg.solve(expected, free.gyro_bias)
+        return anything if chi2 > MOST_BIAS_CHI2 else imu
+
+    def _warning(self, window: Window) -> str:
+        if window.imu == self._config.imu:
+            return ""
+        bias, sigma = float(np.linalg.norm(window.motion.gyro_bias)), self._config.imu.gyro_bias_sigma
+        return (
+            f"the gyroscope's bias is {bias:.2g} rad/s by the first frames, far beyond imu.gyro_bias_sigma, "
+            f"{sigma:.2g} rad/s; the start allows for it: set imu.gyro_bias_sigma, or calibrate the gyroscope"
+        )
 
     def _start_state(self, window: Window) -> NavEstimate:
         """Return the state at a window's first frame."""
-        imu, found = self._config.imu, window.motion
+        imu, found = window.imu, window.motion
+        bias_sigma = imu.gyro_bias_sigma
+        if imu != self._config.imu:
+            bias_sigma = PRIOR_PER_SIGMA * _largest_sigma(found, GYRO_BIAS)
         return levelled(
             window.first.stamp_ns,
             up_body=-found.gravity,
             v_body=found.velocity,
             gyro_bias=found.gyro_bias,
             sigma_velocity=self._config.start.velocity_sigma,
-            sigma_tilt=PRIOR_PER_TILT_SIGMA * self._sigma_tilt_rad(found),
-            sigma_gyro_bias=imu.gyro_bias_sigma,
+            sigma_tilt=PRIOR_PER_SIGMA * self._sigma_tilt_rad(found),
+            sigma_gyro_bias=bias_sigma,
             sigma_accel_bias=imu.accel_bias_sigma,
         )
 
     def _sigma_tilt_rad(self, found: Alignment) -> float:
         """Return the largest standard deviation of a horizontal axis [rad]."""
-        return float(np.sqrt(np.linalg.eigvalsh(found.covariance[GRAVITY, GRAVITY])[-1]) / self._config.imu.gravity)
+        return _largest_sigma(found, GRAVITY) / self._config.imu.gravity
 
     def _views(self, descriptors: NDArray[np.uint8]) -> list[View]:
         """Return the first frame's points as seen in later frames, spread over the time that they are in view."""
@@ -214,7 +250,7 @@ class InFlightInitializer:
                 f"{MAX_BIAS_TURN_RAD:g}: frames are too far apart, or the gyro needs calibration"
             )
         start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt_rad(found)))
-        velocity = float(np.sqrt(np.linalg.eigvalsh(found.covariance[VELOCITY, VELOCITY])[-1]))
+        velocity = _largest_sigma(found, VELOCITY)
         if velocity > start.velocity_sigma or tilt_deg > self._max_tilt_sigma_deg:
             bias_deg = np.rad2deg(self._config.imu.accel_bias_sigma / self._config.imu.gravity)
             raise InsufficientEvidence(
@@ -223,3 +259,8 @@ class InFlightInitializer:
                 f"former, imu.accel_bias_sigma leaves {bias_deg:.2f} deg of the latter, and more points that stay in "
                 "view longer improve both"
             )
+
+
+def _largest_sigma(found: Alignment, part: slice) -> float:
+    """Return the largest standard deviation of a part of the motion."""
+    return float(np.sqrt(np.linalg.eigvalsh(found.covariance[part, part])[-1]))

@@ -40,12 +40,13 @@ class MapInitializer(InFlightInitializer):
         self._locator = MapLocator(saved, rig, config)
 
     def _start(self) -> Start:
-        estimate = self._start_state(self._window())
+        window = self._window()
+        estimate = self._start_state(window)
         for _, step in self._buffer[1:]:
             assert step is not None
             estimate = advance(estimate, step, self._config.imu)
         self.dropped += len(self._buffer) - 1
-        return Start(estimate, [(self._buffer[-1][0], None)])
+        return Start(estimate, [(self._buffer[-1][0], None)], self._warning(window))
 
     def _start_state(self, window: Window) -> NavEstimate:
         located = self._locator.locate(window.first)
@@ -56,7 +57,7 @@ class MapInitializer(InFlightInitializer):
             window.pixels,
             window.views,
             self._map_points(located, window.usable),
-            imu=self._config.imu,
+            imu=window.imu,
             sigma_px=self._config.backend.sigma_px,
         )
         if fit.landmarks < MIN_INLIERS:

@@ -104,6 +104,7 @@ class SlamStage:
         self._bias_steps = BiasStepMonitor()
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
+        self._start_warning = ""  # of the start state that was found
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
         self._was_motion_unknown = False
         self._motion_lost = self._start_unreachable = 0
@@ -277,6 +278,7 @@ class SlamStage:
         if found is None:
             return []
         self.start(found.initial)
+        self._start_warning = found.warning
         return found.frames
 
     def _is_reachable(self, frame: Frame) -> bool:
@@ -319,7 +321,8 @@ class SlamStage:
             self._bias_steps = BiasStepMonitor()
         self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
-        warnings = [text for text in (*noisy, of_start, self._warning(report)) if text]
+        warnings = [text for text in (self._start_warning, *noisy, of_start, self._warning(report)) if text]
+        self._start_warning = ""
         return FrameOutput(report, dead_reckoned, joint, increment, tuple(warnings))
 
     def _motion(self, backend: SlamBackend, stamp_ns: int, increment: ImuIncrement | None) -> ImuIncrement | None:
