@@ -48,7 +48,7 @@ def test_vehicles_that_can_not_share_a_frame_are_warned_about(
 ) -> None:
     """Their C-SLAM would be S-SLAM, without a word; so short a flight ends before a start is found."""
     changes = ["--set", "start.method=in_flight", "--mode", mode, "--no-plots", "--results", str(tmp_path)]
-    assert main(["run", str(flight), *changes]) == 2
+    assert main(["run", str(flight), *changes, "--workers", "1"]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if "map frame of their own" in line]
     assert [line.partition(" each")[0] for line in lines] == [f"{WARNING}uav1, uav2"] * count
 
@@ -61,7 +61,7 @@ def test_vehicles_whose_clocks_are_an_hour_apart_are_warned_about(
     own = [topic for topic in topics_of([flight]) if topic.startswith("/uav2/")]
     bag = rewritten(flight, tmp_path / "apart", *(later(topic, 3600 * NS_PER_S) for topic in own))
     arguments = ["--mode", mode, "--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
-    assert main(["run", str(bag), *arguments]) == 0
+    assert main(["run", str(bag), *arguments, "--workers", "1"]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "clocks differ" in line]
     assert [line.partition(" s after the end of uav1")[0] for line in lines] == [f"{WARNING}uav2 begins 3600"] * count
 
