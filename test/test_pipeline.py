@@ -62,8 +62,10 @@ def fly_fleet(seed: int, **fusion: object) -> tuple[list[SimulatedSource], dict[
 
 
 @functools.cache
-def flown(seed: int = 1) -> tuple[list[SimulatedSource], dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
-    return fly_fleet(seed)
+def flown(
+    seed: int = 1, mode: str = "wideband"
+) -> tuple[list[SimulatedSource], dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
+    return fly_fleet(seed, mode=mode)
 
 
 def position_error(vehicle: SimulatedVehicle, pose: PoseEstimate) -> Array:
@@ -88,7 +90,7 @@ def test_the_thesis_model_is_overconfident() -> None:
 
 
 def test_the_same_flight_twice_gives_the_same_bytes() -> None:
-    runs = [flown(1), fly_fleet(1)]
+    runs = [flown(), fly_fleet(1)]
     for name in ("uav1", "uav2"):
         (tracks_a, fused_a), (tracks_b, fused_b) = ((run[1][name], run[2][name]) for run in runs)
         own = [track.poses for track in (tracks_a, tracks_b)]
@@ -103,14 +105,14 @@ def test_the_same_flight_twice_gives_the_same_bytes() -> None:
 
 def test_the_network_does_not_affect_the_own_track() -> None:
     """The own-only track of a vehicle is the same with and without a peer, in any mode."""
-    _, alone, _ = fly_fleet(1, mode="none")
+    _, alone, _ = flown(mode="none")
     _, together, _ = flown()
     for a, b in zip(alone["uav1"].outputs, together["uav1"].outputs, strict=True):
         assert a.report.pose.T_map_body.matrix.tobytes() == b.report.pose.T_map_body.matrix.tobytes()
 
 
 def test_without_cooperation_the_fused_track_is_the_own_one() -> None:
-    _, tracks, fleet = fly_fleet(1, mode="none")
+    _, tracks, fleet = flown(mode="none")
     for name, member in fleet.items():
         assert member.exchange.outbox.packets_sent == 0
         assert member.fusion.inbox.peers == {}
