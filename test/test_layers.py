@@ -239,7 +239,11 @@ def test_the_checks_notice_a_wrong_import(tmp_path: Path, monkeypatch, place: st
 
 @pytest.mark.parametrize(
     ("node", "needless"),
-    [("ins_propagator_node", "rosbags scipy"), ("slam_backend_node", "rosbags"), ("fusion_node", "rosbags networkx")],
+    [
+        ("ins_propagator_node", "rosbags scipy"),
+        ("slam_backend_node", "rosbags scipy.spatial"),
+        ("fusion_node", "rosbags networkx"),
+    ],
 )
 def test_a_killed_node_is_back_sooner_without_libraries_that_it_does_not_use(node: str, needless: str) -> None:
     script = f"import sys, uav_vslam.ros.{node}; print(*(set({needless.split()}) & set(sys.modules)))"

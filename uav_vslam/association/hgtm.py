@@ -12,8 +12,8 @@ Unlike [aguilar09], which compares only neighbourhoods, this detects matches tha
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -50,7 +50,7 @@ def hyperedges(points: Array, neighbours: int) -> NDArray[np.intp]:
     if count < 2:
         return np.zeros((0, 3), np.intp)
     own = np.arange(len(points))[:, None]
-    near = cKDTree(points).query(points, count + 1)[1]
+    near = scipy.spatial.cKDTree(points).query(points, count + 1)[1]
     near = np.take_along_axis(near, np.argsort(near == own, axis=1, kind="stable"), axis=1)[:, :count]  # without itself
     triples = [np.hstack([own, near[:, [i, j]]]) for i, j in combinations(range(count), 2)]
     return np.unique(np.sort(np.vstack(triples), axis=1), axis=0)

@@ -10,9 +10,8 @@ all candidates.
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from uav_vslam.vision.features.base import Keypoints
 from uav_vslam.vision.matching.gtm import gtm
@@ -42,19 +41,19 @@ def dominating_points(pixels: NDArray[np.floating]) -> Rows:
     return connected_dominating_set(neighbourhood_graph(pixels, NEIGHBOURS))
 
 
-def neighbourhood_graph(points: NDArray[np.floating], neighbours: int) -> csr_array:
+def neighbourhood_graph(points: NDArray[np.floating], neighbours: int) -> "scipy.sparse.csr_array":
     """Return the symmetric (N, N) adjacency of each of (N, D) points with its nearest ones."""
     count = len(points)
     ranks = np.arange(1, min(count, neighbours + 1) + 1)
-    near = cKDTree(points).query(points, ranks)[1] if count else np.zeros((0, 0), np.intp)
+    near = scipy.spatial.cKDTree(points).query(points, ranks)[1] if count else np.zeros((0, 0), np.intp)
     start, end = np.repeat(np.arange(count), len(ranks)), near.ravel()
     apart = start != end
     start, end = start[apart], end[apart]
-    edges = csr_array((np.ones(len(start), bool), (start, end)), shape=(count, count))
-    return csr_array(edges + edges.T)
+    edges = scipy.sparse.csr_array((np.ones(len(start), bool), (start, end)), shape=(count, count))
+    return scipy.sparse.csr_array(edges + edges.T)
 
 
-def connected_dominating_set(graph: csr_array) -> Rows:
+def connected_dominating_set(graph: "scipy.sparse.csr_array") -> Rows:
     """Return the ascending rows of a set that is connected in each component of the graph and dominates all vertices.
 
     Args:

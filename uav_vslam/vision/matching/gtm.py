@@ -8,9 +8,8 @@ remains that of all matches: with many points, the K nearest are far closer.
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import pdist
 
 from uav_vslam.vision.features.base import Keypoints
 from uav_vslam.vision.matching.nn_ratio import nn_mutual
@@ -74,7 +73,8 @@ class _Neighbourhoods:
         self.ends: list[set[int]] = [set() for _ in points]
         self.starts: list[set[int]] = [set() for _ in points]
         self._points, self._left, self._neighbours = points, left, neighbours
-        self._reach = np.nextafter(np.median(pdist(points)), np.inf)  # the tree's bound is exclusive
+        apart = scipy.spatial.distance.pdist(points)
+        self._reach = np.nextafter(np.median(apart), np.inf)  # the tree's bound is exclusive
         self._lookahead = max(LOOKAHEAD, neighbours)
         self._near: list[Rows] = [np.zeros(0, np.intp)] * len(points)
         self._query()
@@ -101,7 +101,7 @@ class _Neighbourhoods:
         rows = np.flatnonzero(self._left)
         points = self._points[rows]
         ranks = np.arange(1, min(len(rows), self._lookahead + 1) + 1)
-        found = cKDTree(points).query(points, ranks, distance_upper_bound=self._reach)[1]
+        found = scipy.spatial.cKDTree(points).query(points, ranks, distance_upper_bound=self._reach)[1]
         for row, near in zip(rows, found, strict=True):
             near = rows[near[near < len(rows)]]
             self._near[row] = near[near != row][: self._lookahead]
