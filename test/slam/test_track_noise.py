@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
 from uav_vslam.estimation.tracks import OFFSET
@@ -18,6 +19,7 @@ from uav_vslam.slam.track_noise import FRAMES, LEAST_POINTS, NOISE_RATIO, TrackN
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 CONFIGURED_PX = 0.07
+FLIGHTS = 12
 
 
 def frame(rig: StereoRig, sigma_px: float, *, count: int = 200, seed: int = 0, tracked: bool = True) -> StereoFeatures:
@@ -97,7 +99,7 @@ def processed(stage: SlamStage, features: StereoFeatures, increment: ImuIncremen
 def flights(flown, configured_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
     """Return last position errors [m] and NEES per axis of flights with tracks of 0.25 px, and all warnings."""
     errors, nees, warnings = [], [], []
-    for seed in range(20):
+    for seed in range(FLIGHTS):
         flight = flown(100 + seed, tracked_px=0.25 / np.sqrt(2.0))
         backend = BackendConfig(sigma_px=0.25, track_sigma_px=configured_px)
         stage = SlamStage(VehicleConfig(imu=flight.vehicle.scenario.imu_config, backend=backend), vehicle="uav1")
@@ -118,7 +120,7 @@ def test_a_flight_with_noisier_tracks_is_as_good_as_if_that_were_configured(flow
     told, _, _ = flights(flown, 0.25)
     errors, nees, warnings = flights(flown, CONFIGURED_PX)
     assert np.sqrt(np.mean(errors**2)) < 1.1 * np.sqrt(np.mean(told**2))
-    assert nees.mean() < 1.39  # chi-square of 60 degrees of freedom, 97.5 %
+    assert nees.mean() < chi2.ppf(0.975, 3 * FLIGHTS) / (3 * FLIGHTS)
     assert not any("calibration" in text for text in warnings)
 
 
