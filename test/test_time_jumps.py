@@ -19,7 +19,7 @@ from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.types import NS_PER_S, ImuSample, StereoFeatures
 
 Event = ImuSample | StereoFeatures
-AFTER_S, FRAMES = 4.0, 70  # when it happens, of 9.8 s
+AFTER_S, FRAMES = 4.0, 58  # when it happens, of 8.1 s
 SEEDS = (1, 2, 3)
 
 
