@@ -16,6 +16,7 @@ from uav_vslam.mapping.model.files import LARGEST_GLB_BYTES
 from uav_vslam.mapping.model.triangles import mesh_of, simplified
 from uav_vslam.mapping.orthomosaic import Orthomosaic
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.view import View
 
 SPOT = (6.0, -4.0)  # x, y of a red square of 1.6 m
 BLOCK = (-5.0, 3.0)  # of a block of 4 x 4 x 3 m
@@ -38,17 +39,22 @@ def colours(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 SCENE = Scene(block, colours)
-VIEWS = [SCENE.view((x, y, 25.0)) for x in (-6.0, 2.0) for y in (-3.0, 3.0)]
-VIEWS.append(SCENE.view((-20.0, 3.0, 20.0), (0.0, -35.0, 0.0)))  # looks at the block's western wall
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def views() -> list[View]:
+    """Four from above, and one that looks at the block's western wall."""
+    above = [SCENE.view((x, y, 25.0)) for x in (-6.0, 2.0) for y in (-3.0, 3.0)]
+    return [*above, SCENE.view((-20.0, 3.0, 20.0), (0.0, -35.0, 0.0))]
+
+
+@pytest.fixture(scope="module")
+def made(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("model")
     mosaic = Orthomosaic(SCENE, 0.1)
-    for view in VIEWS:
+    for view in views:
         mosaic.add(view)
-    written = write_model(SCENE, mosaic, folder, views=lambda: VIEWS)
+    written = write_model(SCENE, mosaic, folder, views=lambda: views)
     assert written["bytes"] == (folder / "model.glb").stat().st_size <= LARGEST_GLB_BYTES
     return folder
 
@@ -157,8 +163,8 @@ def test_walls_stand_where_heights_jump_and_gaps_stay_open() -> None:
     assert len(mesh_of(np.full((3, 3), np.nan), Raster(1.0, 0, 0, 3, 3)).faces) == 0
 
 
-def test_a_surface_that_is_not_known_under_the_mosaic_is_an_error(tmp_path: Path) -> None:
+def test_a_surface_that_is_not_known_under_the_mosaic_is_an_error(views: list[View], tmp_path: Path) -> None:
     mosaic = Orthomosaic(SCENE, 0.1)
-    mosaic.add(VIEWS[0])
+    mosaic.add(views[0])
     with pytest.raises(UavVslamError, match="no height is known"):
         write_model(Scene(lambda x, y: np.full_like(x, np.nan)), mosaic, tmp_path)
