@@ -81,3 +81,12 @@ def test_a_frozen_camera_is_reported_and_gives_no_points(flight: Flown, config: 
     assert "frozen" in frontend.alarms["right camera"]
     assert len(frontend.process(frames[2])) > 20
     assert frontend.alarms == {}
+
+
+def test_without_tracks_pairs_are_processed_independently(flight: Flown) -> None:
+    rig, frames = flight
+    config = FrontendConfig(method="sift", scale=1.0, max_matches=120)
+    alone, after_others = process(rig, frames[2:], config)[-1], process(rig, frames, config)[-1]
+    assert len(alone) > 20
+    assert alone.pixels.tobytes() == after_others.pixels.tobytes()
+    assert alone.descriptors.tobytes() == after_others.descriptors.tobytes()
