@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`uav-vslam calibrate` finds the cameras behind rendered pictures, and those behind real ones."""
 
+import contextlib
+import io
 import json
 from collections.abc import Callable
 from functools import cache
@@ -67,16 +69,29 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     return error
 
 
+@pytest.fixture(scope="module")
+def calibrated(
+    rendered: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], tuple[Path, str]]:
+    """What returns the results from rendered pictures of a kind of board, and what was printed."""
+
+    @cache
+    def calibrate(kind: str) -> tuple[Path, str]:
+        folder, results, printed = rendered(kind), tmp_path_factory.mktemp("results"), io.StringIO()
+        patterns = [str(folder / "left*.png"), str(folder / "right*.png")]
+        with contextlib.redirect_stdout(printed):
+            assert main(["calibrate", *patterns, *BOARDS[kind][1], "--results", str(results)]) == 0
+        return results / "latest", printed.getvalue()
+
+    return calibrate
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", BOARDS)
 def test_rendered_pictures_give_the_cameras_that_took_them(
-    kind: str, rendered: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kind: str, calibrated: Callable[[str], tuple[Path, str]]
 ) -> None:
-    _, arguments = BOARDS[kind]
-    folder, results, true = rendered(kind), tmp_path / "results", rig_of()
-    patterns = [str(folder / "left*.png"), str(folder / "right*.png")]
-    assert main(["calibrate", *patterns, *arguments, "--results", str(results)]) == 0
-    latest = results / "latest"
+    (latest, said), true = calibrated(kind), rig_of()
     assert {path.name for path in latest.iterdir()} == {
         "left.yaml",
         "right.yaml",
@@ -92,21 +107,23 @@ def test_rendered_pictures_give_the_cameras_that_took_them(
     summary = json.loads((latest / "summary.json").read_text())
     assert summary["pairs_used"] == PAIRS
     assert summary["reprojection_px"]["stereo"] < 0.15
-    said = capsys.readouterr().out
     assert "use it:  input: {calibration: [" in said
     assert str(latest.resolve() / "left.yaml") in said
 
 
 @pytest.mark.slow
-def test_a_recording_of_the_pictures_gives_the_same_cameras(chessboard: Path, tmp_path: Path) -> None:
-    baselines = []
-    for k, given in enumerate((chessboard, recorded(chessboard, tmp_path / "bag"))):
-        results = tmp_path / f"results{k}"
-        arguments = [str(given), *BOARDS["chessboard"][1], "--results", str(results), "--no-plots"]
-        assert main(["calibrate", *arguments]) == 0
-        assert not (results / "latest" / "calibration.png").exists()
-        baselines.append(json.loads((results / "latest" / "summary.json").read_text())["baseline_m"])
-    assert baselines[0] == baselines[1]
+def test_a_recording_of_the_pictures_gives_the_same_cameras(
+    chessboard: Path, calibrated: Callable[[str], tuple[Path, str]], tmp_path: Path
+) -> None:
+    bag, results = recorded(chessboard, tmp_path / "bag"), tmp_path / "results"
+    arguments = [str(bag), *BOARDS["chessboard"][1], "--results", str(results), "--no-plots"]
+    assert main(["calibrate", *arguments]) == 0
+    assert not (results / "latest" / "calibration.png").exists()
+    expected, found = (
+        json.loads((latest / "summary.json").read_text())["baseline_m"]
+        for latest in (calibrated("chessboard")[0], results / "latest")
+    )
+    assert found == expected
 
 
 @pytest.mark.slow
