@@ -109,13 +109,14 @@ def test_after_a_wrong_start_landmarks_alone_claim_no_more_either(flown, what: s
 
 
 @pytest.mark.parametrize("disparity_px", [-0.6, 0.6])
-def test_a_wrong_calibration_that_explains_the_first_frames_is_estimated(flown, disparity_px: float) -> None:
+def test_a_wrong_calibration_that_explains_the_first_frames_is_estimated_and_told(flown, disparity_px: float) -> None:
     flight = flown(2, frames=60, tracked_px=0.05)
     stage = flight.tracking_stage(0.05)
     stage.rig = flight.vehicle.rig.disparity_shifted(disparity_px)
     outputs = outputs_of(stage, flight, flight.vehicle.initial)
-    (warning,) = (text for output in outputs for text in output.warnings)
-    assert warning.endswith(REMEDY)
+    of_start, of_rig = (text for output in outputs for text in output.warnings)
+    assert of_start.endswith(REMEDY)
+    assert of_rig.startswith("the motion contradicts the calibration of the cameras: the disparity is off by")
     assert not any(output.report.recovery for output in outputs)
     disparity = outputs[-1].report.disparity
     assert disparity is not None

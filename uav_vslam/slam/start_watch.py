@@ -39,8 +39,8 @@ class StartWatch:
             monitor.stop(stamp_ns)
 
     def trusts(self, stamp_ns: int) -> bool:
-        """Return whether the start was accepted by this time."""
-        return self._trusting.trusts(stamp_ns)
+        """Return whether the start was accepted by this time, or a wrong calibration explains the first frames."""
+        return self._trusting.trusts(stamp_ns) or self._doubting.trusts(stamp_ns)
 
     def check(
         self, backend: SlamBackend, report: FrameReport, features: StereoFeatures, dead_reckoned: NavEstimate
