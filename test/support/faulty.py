@@ -198,7 +198,7 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     ),
     "swapped cameras": (
         lambda: [swapped],
-        [("error", "stereo geometry", ("left and right seem swapped",))],
+        [("error", "stereo geometry", ("left and right seem swapped", "upside down"))],
     ),
     "stereo stamps 30 ms apart": (
         lambda: [later(RIGHT, 30_000_000)],

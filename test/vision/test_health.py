@@ -61,6 +61,11 @@ def test_swapped_images_are_reported_at_once(rig: StereoRig) -> None:
     assert "swapped" in alarms["image order"]
 
 
+def test_images_that_are_upside_down_are_not_only_taken_for_swapped(rig: StereoRig) -> None:
+    alarms = alarms_after(rig, np.tile(np.array(rig.left.size) - 1.0, 2) - points_of(rig), 1)
+    assert "upside down" in alarms["image order"]
+
+
 @pytest.mark.parametrize("count", [0, 5])
 def test_too_few_points_raise_no_alarm(rig: StereoRig, count: int) -> None:
     assert alarms_after(rig, points_of(turned(rig, 0.5))[:count], EPIPOLAR_FRAMES) == {}

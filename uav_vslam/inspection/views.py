@@ -92,7 +92,10 @@ def check_geometry(pixels: Array, rig: StereoRig, config: FrontendConfig) -> lis
     allowed = f"most within {gate:g} px (frontend.epipolar_px) and in front of both cameras"
     if seems_swapped(pixels, rig, gate):
         seen += f"; with left and right exchanged {100 * fitting_share(pixels[:, [2, 3, 0, 1]], rig, gate):.0f} %"
-        remedy = "left and right seem swapped: exchange input.topics.left and right, or invert the extrinsics"
+        remedy = (
+            "left and right seem swapped: exchange input.topics.left and right, or invert the extrinsics; if both "
+            "images are upside down, turn them by 180 degrees or calibrate with them as they are"
+        )
         return [error("stereo geometry", seen, allowed, remedy)]
     inverted = dataclasses.replace(rig, T_body_right=rig.T_body_left @ rig.T_right_left)
     if share < 0.5 * SWAPPED_SHARE < SWAPPED_SHARE < fitting_share(pixels, inverted, gate):

@@ -73,7 +73,7 @@ class FrontendHealth:
         if len(pixels) < MIN_POINTS:
             return
         if seems_swapped(pixels, self._rig, self.epipolar_px):
-            self._set("image order", "left and right images seem to be swapped")
+            self._set("image order", "left and right images seem to be swapped, or both upside down")
             return
         self._distances.append(float(np.median(self._rig.epipolar_distance(pixels))))
         usual = float(np.median(self._distances))
