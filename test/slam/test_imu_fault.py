@@ -154,6 +154,18 @@ def test_a_single_wrong_rotation_of_the_images_is_no_fault_of_the_gyroscope() ->
     assert detector.is_gyro_healthy
 
 
+def test_images_that_stand_still_are_named_beside_the_gyroscope() -> None:
+    """Frozen ones with noise, or ones of the vehicle itself, look like a gyroscope that is off."""
+    detector, zero, rate = ImuFaultDetector(9.81), np.zeros(3), np.array([0.3, 0.0, 0.0])
+    samples = [ImuSample(k * 5_000_000, rate, np.array([0.0, 0.0, 9.81])) for k in range(200)]
+    for k in range(4):
+        span = k * 140_000_000, (k + 1) * 140_000_000
+        turned = preintegrate(samples, *span, gyro_bias=zero, accel_bias=zero, imu=ImuConfig())
+        detector.add(turned, np.eye(3), coasted=True, apart_rad=0.3 * turned.dt_s)
+    assert "0.3 rad/s" in detector.reason
+    assert "that the images are live" in detector.reason
+
+
 def test_while_images_show_nothing_a_fault_stays_as_it_is() -> None:
     detector, upright, zero = ImuFaultDetector(9.81), np.eye(3), np.zeros(3)
     samples = [ImuSample(k * 5_000_000, zero, np.array([0.0, 0.0, 9.81])) for k in range(4000)]

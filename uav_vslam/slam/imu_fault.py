@@ -93,7 +93,10 @@ class ImuFaultDetector:
         rate = median((one.apart_rad or 0.0) / one.dt_s for one in seen)  # images of a lost filter err, now and then
         self.is_gyro_healthy = rate <= MOST_RATE
         if not self.is_gyro_healthy:
-            return f"the IMU's rotation differs from the images' by {rate:.1f} rad/s: check its unit, axes and stamps"
+            return (
+                f"the IMU's rotation differs from the images' by {rate:.1f} rad/s: check its unit, axes and stamps, "
+                "and that the images are live and show more than the vehicle itself"
+            )
         force = np.sum([one.gained for one in self._recent], axis=0) / self._lasted_s
         if np.linalg.norm(force - self._gravity) > MOST_ACCEL:
             measured = ", ".join(f"{x:.1f}" for x in force)
