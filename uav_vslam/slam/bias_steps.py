@@ -184,6 +184,7 @@ def _replayed(
         return None
     reason = (
         f"as it was {past.age_s:.1f} s ago, because the IMU's biases have stepped since, by "
-        f"{np.linalg.norm(gyro):.2g} rad/s and {np.linalg.norm(accel):.2g} m/s^2: check its mount and supply"
+        f"{np.linalg.norm(gyro):.2g} rad/s and {np.linalg.norm(accel):.2g} m/s^2: check its mount and supply, or "
+        "clocks and calibration, which look the same if they are far off"
     )
     return backend, dataclasses.replace(report, recovery=reason)

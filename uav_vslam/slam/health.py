@@ -36,7 +36,7 @@ class FilterHealth:
         if len(self._recent) == WINDOW and nis_per_dof > MAX_NIS_PER_DOF:
             return f"NIS of {WINDOW} frames is {nis_per_dof:.1f} times its degrees of freedom"
         if self._lost >= MAX_LOST:
-            return f"no landmark associated and no track accepted for {self._lost} frames"
+            return f"no landmark associated and no track accepted for {self._lost} frames: {COASTING_REMEDY}"
         return ""
 
     @property

@@ -38,8 +38,8 @@ class RigMonitor:
             return (
                 f"the disparity is off by {error.mean_px:+.2f} px (1 sigma {error.sigma_px:.2f} px), which is now "
                 "estimated: recalibrate, and set rig.miscalibrated_probability to 0.5 until then, or rig.flexing if it "
-                "bends; an IMU that is noisier than imu.* says looks the same (`uav-vslam check` measures it), and so "
-                "does a wrong start velocity, if one was warned of"
+                "bends; an IMU that is noisier than imu.* says, or whose clock is off, looks the same (`uav-vslam "
+                "check` measures both), and so does a wrong start velocity, if one was warned of"
             )
         if report.rig_evidence > self._contradicted:
             return (
