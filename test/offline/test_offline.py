@@ -100,6 +100,17 @@ def test_a_flight_without_any_usable_imu_reading_is_no_result(source: SimulatedS
         track_vehicle(Deaf(source.simulated, source.field), config(source, StartConfig()))
 
 
+@pytest.mark.parametrize("dark", [FRAMES // 3, FRAMES - 1])
+def test_a_flight_whose_images_show_nothing_is_warned_about(source: SimulatedSource, dark: int) -> None:
+    """In fog or at night no figure but the count of frames said that S-SLAM was the INS."""
+    seen = [one for one in source.frames() if isinstance(one, StereoFeatures)]
+    features = tuple(StereoFeatures.empty(one.stamp_ns) if k >= FRAMES - dark else one for k, one in enumerate(seen))
+    blind = dataclasses.replace(source, field=None, features=features)
+    told = [text for text in track_vehicle(blind, config(source, StartConfig())).warnings if "dead reckoning" in text]
+    assert len(told) == (dark > FRAMES // 2)
+    assert all(f"{dark} of {FRAMES} frames corrected nothing" in text for text in told)
+
+
 def test_a_flying_vehicle_is_refused_by_static_alignment_with_the_remedy(source: SimulatedSource) -> None:
     with pytest.raises(UavVslamError, match=r"set start\.method: in_flight"):
         track_vehicle(source, config(source, StartConfig(method="static", rest_s=0.5)))

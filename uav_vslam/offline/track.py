@@ -134,11 +134,18 @@ def _check_measured(track: VehicleTrack) -> None:
 
 
 def _report_coasting(track: VehicleTrack) -> None:
-    """Warn of a flight that is mostly dead reckoning although its frames have features."""
-    reports = [output.report for output in track.outputs]
-    missed = sum(report.coasted and report.features >= MIN_FEATURES for report in reports)
-    if missed > COASTING_SHARE * len(reports):
+    """Warn of a flight that is mostly dead reckoning, though its frames have features or because they have not."""
+    coasted = [output.report for output in track.outputs if output.report.coasted]
+    missed = sum(report.features >= MIN_FEATURES for report in coasted)
+    frames, most = len(track.outputs), COASTING_SHARE * len(track.outputs)
+    if missed > most:
         track.warnings.append(
-            f"{missed} of {len(reports)} frames had features, but none where the estimate expects it: what it claims "
-            f"is in doubt; {COASTING_REMEDY} (uav-vslam check)"
+            f"{missed} of {frames} frames had features, but none where the estimate expects it: what it claims is in "
+            f"doubt; {COASTING_REMEDY} (uav-vslam check)"
+        )
+    elif len(coasted) > most:
+        track.warnings.append(
+            f"{len(coasted)} of {frames} frames corrected nothing, {len(coasted) - missed} of them with fewer than "
+            f"{MIN_FEATURES} features: the estimate is mostly dead reckoning; check light, exposure and focus, and the "
+            "calibration, by which matches are judged (uav-vslam check)"
         )
