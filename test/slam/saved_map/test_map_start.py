@@ -87,6 +87,20 @@ def test_the_start_is_where_it_claims_to_be_and_uses_no_frame_again(mapped, over
         assert processed == len(vehicle.frame_stamps_ns)
 
 
+def test_a_gyro_bias_far_beyond_its_sigma_is_found_in_the_map_too(mapped, tmp_path: Path) -> None:
+    flight, bias = mapped(1), np.array([0.02, -0.015, 0.01])
+    vehicle = flight.vehicles[1]
+    readings = dataclasses.replace(vehicle.imu, gyro=vehicle.imu.gyro + bias, gyro_bias=vehicle.imu.gyro_bias + bias)
+    biased = dataclasses.replace(vehicle, imu=readings)
+    track = fly_over(dataclasses.replace(flight, vehicles=[flight.vehicles[0], biased]), tmp_path / "map.npz")
+    assert track.start is not None
+    error = track.start.state.gyro_bias - readings.gyro_bias[0]
+    assert error @ np.linalg.solve(track.start.covariance[9:12, 9:12], error) < chi2.ppf(0.999, 3)
+    assert "imu.gyro_bias_sigma" in " ".join(track.outputs[0].warnings)
+    last = track.outputs[-1].report.pose
+    assert np.linalg.norm(vehicle.true_state(last.stamp_ns).T_map_body.t - last.T_map_body.t) < 2.0
+
+
 def test_its_beliefs_and_its_map_name_the_map_they_depend_on(mapped, over: dict[int, VehicleTrack]) -> None:
     flight, track = mapped(1), over[1]
     joints = [output.joint for output in track.outputs if output.joint is not None]
