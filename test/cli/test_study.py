@@ -30,7 +30,7 @@ SMALL = {
     "recordings": ["--seeds", "1", "--frames", "3"],
     "perturbed": ["--seeds", "1", "--rendered-seeds", "0", "--frames", "2"],
     "surface": ["--seeds", "1", "--frames", "8", "--bare"],
-    "orthomosaic": ["--seeds", "1", "--frames", "8", "--m-per-px", "0.3"],
+    "orthomosaic": ["--seeds", "1", "--frames", "12", "--m-per-px", "0.3"],
 }
 LARGEST_PAGE_BYTES = 8_000_000
 PICTURES = {
