@@ -57,8 +57,8 @@ def fingerprint(key: bytes) -> str:
     return hashlib.sha256(key).hexdigest()[:16]
 
 
-def check_keys(fleet: FleetConfig, vehicles: Collection[str] = ()) -> list[KeyReport]:
-    """Check the keys of vehicles, or of all, as far as their files are on this computer.
+def check_keys(fleet: FleetConfig, vehicles: Collection[str]) -> list[KeyReport]:
+    """Check the keys of vehicles, of all if none is named, as far as their files are on this computer.
 
     Raises:
         ConfigError: a vehicle is not in the fleet.

@@ -43,7 +43,7 @@ class SeenFlight:
 
 
 def seen_flight(
-    flight: BagFlight, poses: Trajectory, config: VehicleConfig, on_frame: Callable[[], None] = lambda: None
+    flight: BagFlight, poses: Trajectory, config: VehicleConfig, on_frame: Callable[[], None]
 ) -> SeenFlight:
     """Measure what at most `MAX_VIEWS` frames show, evenly over the flight; the others are not decoded.
 

@@ -34,7 +34,7 @@ class StereoPair(Generic[T]):
 class PairTolerance:
     """Largest difference between the stamps of a pair: as set, or half of the median period of the left images."""
 
-    def __init__(self, set_ns: int = 0) -> None:
+    def __init__(self, set_ns: int) -> None:
         """Set up; 0 for the default, which is at most `LARGEST_TOLERANCE_NS`."""
         self._set_ns = set_ns
         self._periods_ns: deque[int] = deque(maxlen=PERIODS[1])

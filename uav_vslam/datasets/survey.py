@@ -136,7 +136,7 @@ def message_count(topics: Mapping[str, TopicInfo], vehicle: str, config: InputCo
 
 
 def survey_flight(
-    paths: Sequence[Path], vehicle: str, config: InputConfig, *, on_message: Callable[[], None] = lambda: None
+    paths: Sequence[Path], vehicle: str, config: InputConfig, *, on_message: Callable[[], None]
 ) -> Survey:
     """Read all that is recorded of one vehicle.
 

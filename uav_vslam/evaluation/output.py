@@ -25,15 +25,12 @@ Plotter = Callable[[FlightResult, Path], list[Path]]
 StudyPlotter = Callable[[dict[str, Any], Path], list[Path]]
 FolderPlotter = Callable[[Path], Path]
 
-DEFAULT_ROOT = Path("results")
 LATEST = "latest"
 ALL_TRACKS = ("truth", "ins", "s_slam", "c_slam", "smoothed")
 WITH_COVARIANCE = ("s_slam", "c_slam", "smoothed")  # for NEES, which TUM has no place for
 
 
-def write_results(
-    result: FlightResult, root: Path = DEFAULT_ROOT, *, plot: Plotter | None = None, alignment: str = "none"
-) -> Path:
+def write_results(result: FlightResult, root: Path, *, plot: Plotter | None = None, alignment: str = "none") -> Path:
     """Write summary, trajectories, records of the frames, configuration and plots of a flight into a new folder.
 
     Args:
@@ -55,7 +52,7 @@ def write_results(
     return folder
 
 
-def write_study(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: StudyPlotter | None = None) -> Path:
+def write_study(tree: dict[str, Any], root: Path, *, plot: StudyPlotter | None = None) -> Path:
     """Write `study.json`, the tables `study.md` and the plots of a comparison of methods into a new folder.
 
     Args:
@@ -74,7 +71,7 @@ def write_study(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: StudyP
     return folder
 
 
-def write_comparison(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: FolderPlotter | None = None) -> Path:
+def write_comparison(tree: dict[str, Any], root: Path, *, plot: FolderPlotter | None) -> Path:
     """Write `comparison.json` and the plot into a new folder; `latest`, which may be compared, stays where it is.
 
     Args:

@@ -33,7 +33,7 @@ def check_start(
     images_ns: Stamps,
     readings: list[ImuSample],
     config: VehicleConfig,
-    truth: TruthTrack | None = None,
+    truth: TruthTrack | None,
 ) -> list[Finding]:
     """Check that the configured start can work.
 

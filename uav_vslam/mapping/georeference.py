@@ -80,9 +80,7 @@ def write_picture(
     return path
 
 
-def write_bands(
-    path: Path, bands: Mapping[str, NDArray[np.generic]], raster: Raster, datum: Datum | None = None
-) -> None:
+def write_bands(path: Path, bands: Mapping[str, NDArray[np.generic]], raster: Raster, datum: Datum | None) -> None:
     """Write a float32 GeoTIFF of several bands; NaN is no data.
 
     Args:

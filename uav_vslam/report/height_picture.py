@@ -39,7 +39,7 @@ class Frame:
 MAP, TURNED = Frame(), Frame("x", "y")
 
 
-def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame = MAP) -> Figure | None:
+def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame) -> Figure | None:
     """Return the shaded relief of (rows, columns) heights [m], south first; None if none is known."""
     known = np.isfinite(height)
     if not known.any():
@@ -58,7 +58,7 @@ def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame 
 
 
 def overlap_picture(
-    count: NDArray[np.integer], bounds_m: Bounds, frame: Frame = MAP, *, label: str = "Views"
+    count: NDArray[np.integer], bounds_m: Bounds, frame: Frame, *, label: str = "Views"
 ) -> Figure | None:
     """Return the number of views of each cell, (rows, columns), south first; None if there are no views."""
     if count.size == 0 or not count.any():

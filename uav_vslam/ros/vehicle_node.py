@@ -208,7 +208,7 @@ class VehicleNode(PausableNode):
         self.counts[f"{DROPPED}{reason}"] += 1
         self.get_logger().warning(f"dropped a message: {detail}", throttle_duration_sec=5.0)
 
-    def report_clock(self, line: TimeLine[Any], happened: str = "") -> None:
+    def report_clock(self, line: TimeLine[Any], happened: str) -> None:
         """Report a jump of the clock that was followed, messages off the time line, and clocks that disagree."""
         if happened:
             self.counts["time_jumps"] += 1

@@ -358,8 +358,8 @@ class SlamBackend:
         """Why the motion is taken from the images alone; empty without a fault of the IMU."""
         return self._imu_fault.reason
 
-    def _recover(self, at: NavEstimate | None = None) -> None:
-        """Re-initialise the filter at an estimate, by default at the newest one with an inflated covariance."""
+    def _recover(self, at: NavEstimate | None) -> None:
+        """Re-initialise the filter at an estimate; None for the newest one with an inflated covariance."""
         self._reset(at or reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
         if self._increment is not None:
             self._filter.ends(self._increment)

@@ -119,9 +119,7 @@ class OxtsRecording:
         return NavEstimate(NavState(stamp_ns, pose, own.state.v_map, np.zeros(3), np.zeros(3)), own.covariance)
 
 
-def read_oxts(
-    folder: Path, *, first_frame: int = 0, image_times: Path | None = None, problems: Problems
-) -> OxtsRecording:
+def read_oxts(folder: Path, *, first_frame: int, image_times: Path | None, problems: Problems) -> OxtsRecording:
     """Read the readings of a raw drive.
 
     Args:

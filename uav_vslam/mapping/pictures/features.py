@@ -44,7 +44,7 @@ class Detected:
     undecoded: list[str]
 
 
-def detect_all(pictures: Sequence[Picture], *, on_picture: Callable[[], None] = lambda: None) -> Detected:
+def detect_all(pictures: Sequence[Picture], *, on_picture: Callable[[], None]) -> Detected:
     """Return the points of all pictures that can be decoded."""
     found = Detected([], [], [])
     for picture in pictures:

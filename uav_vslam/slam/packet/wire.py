@@ -35,7 +35,7 @@ def payload_size(
     *,
     anchored: bool,
     vehicle: str,
-    sources: Sequence[str] = (),
+    sources: Sequence[str],
     prior_id: str,
     descriptor_size: int,
     tag_size: int,

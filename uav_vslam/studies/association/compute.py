@@ -165,7 +165,7 @@ class Association:
     ms: tuple[float, ...]
 
 
-def associate_all(flight: ExtractedFlight, names: Sequence[str] = tuple(ASSOCIATORS)) -> list[Association]:
+def associate_all(flight: ExtractedFlight, names: Sequence[str]) -> list[Association]:
     """Fly by the INS alone and with each associator."""
     ins = Run(INS, flight.condition, flight.seed, "uav1", Track(flight.ins), flight.truth, flight.ins)
     return [Association(ins, Score(), ()), *(fly(flight, name) for name in names)]

@@ -97,7 +97,7 @@ def run_settings(
     config: VehicleConfig,
     noise: LandmarkNoise,
     *,
-    mistaken_share: float = 0.0,
+    mistaken_share: float,
 ) -> list[Outcome]:
     """Fly a scenario's vehicles alone, then fuse them under every setting.
 

@@ -99,7 +99,7 @@ def revisit_jobs(
     seeds: Sequence[int],
     rendered: Sequence[int],
     *,
-    frames: int | None = None,
+    frames: int | None,
 ) -> list[Job]:
     """Return a job for each seed at landmark level, and for each that is rendered.
 
@@ -123,7 +123,7 @@ def revisit_jobs(
     return jobs
 
 
-def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:
+def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], None]) -> list[Loop]:
     """Fly all jobs; progress is reported frame by frame in a single process, job by job otherwise."""
     if workers == 1:
         return [loop for job in jobs for loop in fly_loop(job, on_frame)]
