@@ -90,6 +90,11 @@ class Raster:
         size = int(columns.max()) - column + 1, int(rows.max()) - row + 1
         return Raster(self.cell_m, self.column + column, self.row + row, *size)
 
+    def with_cells(self, cell_m: float) -> "Raster":
+        """Return the smallest window of cells of another size that covers this one."""
+        west, south, east, north = self.bounds_m
+        return Raster.covering([[west, south], [east - 1e-6, north - 1e-6]], cell_m)
+
     def grown(self, margin: int, *, align: int = 1) -> "Raster":
         """Return the smallest window with a margin [cells] around this one and edges at multiples of `align`."""
         column, row = ((start - margin) // align * align for start in (self.column, self.row))

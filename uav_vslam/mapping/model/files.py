@@ -61,8 +61,7 @@ def write_model(
         UavVslamError: the mosaic is empty, no height is known under it, or a file can't be written.
     """
     picture = mosaic.picture()
-    west, south, east, north = picture.raster.bounds_m
-    raster = Raster.covering([[west, south], [east - 1e-6, north - 1e-6]], cell_m)
+    raster = picture.raster.with_cells(cell_m)
     heights = np.where(_shown(picture, raster), surface.height(raster), np.float32(np.nan))
     mesh = mesh_of(heights, raster)
     if len(mesh.faces) == 0:

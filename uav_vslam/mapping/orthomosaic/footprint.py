@@ -40,7 +40,7 @@ def overlap(first: Array, second: Array) -> float:
 def footprint(camera: PinholeCamera, T_map_cam: Pose, surface: Heights, cell_m: float) -> Raster:
     """Return the window of cells that the view may show; empty where the surface is unknown under it."""
     below = Raster.covering(T_map_cam.t[None, :2], 10.0 * LOOK_CELL_M)
-    level = _known(surface.height(_finer(below, LOOK_CELL_M)))
+    level = _known(surface.height(below.with_cells(LOOK_CELL_M)))
     if len(level) == 0:
         level = np.array([0.0])
     seen = Raster.covering(outline(camera, T_map_cam, float(np.median(level))), LOOK_CELL_M)
@@ -54,8 +54,3 @@ def footprint(camera: PinholeCamera, T_map_cam: Pose, surface: Heights, cell_m: 
 
 def _known(heights: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(heights[np.isfinite(heights)])
-
-
-def _finer(raster: Raster, cell_m: float) -> Raster:
-    west, south, east, north = raster.bounds_m
-    return Raster.covering([[west, south], [east - 1e-6, north - 1e-6]], cell_m)
