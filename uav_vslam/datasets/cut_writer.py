@@ -18,9 +18,9 @@ from uav_vslam.config import InputConfig, StartConfig, VehicleConfig, parameter_
 from uav_vslam.config.input import COMPRESSED
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.bag_recorder import RawRecorder
-from uav_vslam.datasets.cdr import decode, encode
+from uav_vslam.datasets.cdr import decode
 from uav_vslam.datasets.cutting import CutVehicle
-from uav_vslam.datasets.flight_writer import LATCHED_TOPICS
+from uav_vslam.datasets.flight_writer import record_message
 from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.message_builders import (
     camera_info_message,
@@ -84,15 +84,11 @@ def _write_all(
     first = True
     for stamp_ns, topic, built in heapq.merge(*streams, key=lambda message: message[0]):
         if first:
-            _write(recorder, stamp_ns, TF_STATIC, _transforms(flight, vehicles, stamp_ns))
+            record_message(recorder, TF_STATIC, _transforms(flight, vehicles, stamp_ns), stamp_ns)
             first = False
-        _write(recorder, stamp_ns, topic, built)
+        record_message(recorder, topic, built, stamp_ns)
         if topic.endswith("left/camera_info"):
             on_frame()
-
-
-def _write(recorder: RawRecorder, stamp_ns: int, topic: str, built: Any) -> None:
-    recorder.write(topic, built.__msgtype__, encode(built), stamp_ns, latched=topic.endswith(LATCHED_TOPICS))
 
 
 def _transforms(flight: BagFlight, vehicles: Sequence[CutVehicle], stamp_ns: int) -> Any:

@@ -131,15 +131,16 @@ def write_flights(
         streams = [_events(flight, coding) for flight in flights]
         for stamp_ns, rank, make in heapq.merge(*streams, key=lambda event: event[:2]):
             if first:
-                _record(recorder, TF_STATIC, _transforms(flights, stamp_ns), stamp_ns)
+                record_message(recorder, TF_STATIC, _transforms(flights, stamp_ns), stamp_ns)
                 first = False
             for topic, built in make():
-                _record(recorder, topic, built, stamp_ns)
+                record_message(recorder, topic, built, stamp_ns)
             if rank == CAMERAS and on_frame is not None:
                 on_frame()
 
 
-def _record(recorder: RawRecorder, topic: str, built: Any, stamp_ns: int) -> None:
+def record_message(recorder: RawRecorder, topic: str, built: Any, stamp_ns: int) -> None:
+    """Write a message made by `cdr.message`, for late subscribers too if its topic is a latched one."""
     recorder.write(topic, built.__msgtype__, encoded_view(built), stamp_ns, latched=topic.endswith(LATCHED_TOPICS))
 
 
