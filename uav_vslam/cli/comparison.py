@@ -44,14 +44,14 @@ def _runs(args: argparse.Namespace) -> list[Run]:
 
     from uav_vslam.evaluation.clock_offset import later
     from uav_vslam.evaluation.files.reading import read_trajectory
+    from uav_vslam.evaluation.files.results_folder import distinct_names
 
     truth = None
     if args.truth is not None:
         truth = read_trajectory(args.truth, times=args.times, numbered=True)
-    names = unique_names(args.inputs)
     runs = [
         run
-        for path, name in zip(args.inputs, names, strict=True)
+        for path, name in zip(args.inputs, distinct_names(args.inputs), strict=True)
         for run in (_of_folder(path, name, truth) if path.is_dir() else _of_file(path, name, truth, args.times))
     ]
     return [replace(run, truth=later(run.truth, args.truth_offset)) for run in runs]
@@ -82,16 +82,6 @@ def _of_folder(folder: Path, name: str, truth: Trajectory | None) -> list[Run]:
         estimates = at_equal_stamps(tracks)
         runs += [Run(name, f"{vehicle} {NAMES[track]}", found, reference) for track, found in estimates.items()]
     return runs
-
-
-def unique_names(paths: list[Path]) -> list[str]:
-    """Return short names that distinguish the inputs: without date or ending, else in full, else numbered."""
-    from uav_vslam.evaluation.files.results_folder import short_name
-
-    short = [short_name(path) if path.is_dir() else path.stem for path in paths]
-    full = [path.resolve().name if path.is_dir() else f"{path.parent.name}/{path.name}" for path in paths]
-    numbered = [f"{number} {name}" for number, name in enumerate(short, 1)]
-    return next((names for names in (short, full) if len(set(names)) == len(names)), numbered)
 
 
 def _report_offsets(runs: list[PairedRun], tree: Figures) -> None:

@@ -53,7 +53,7 @@ def study_markdown(tree: dict[str, Any]) -> str:
 
     Columns are padded, and tables wider than the page are divided, so that they are read easily as plain text too.
     """
-    lines = [f"# {tree['study']}", "", f"Code {tree['git'] or 'of unknown revision'}, {_seeds(tree['seeds'])}.", ""]
+    lines = [f"# {tree['study']}", "", f"Code {tree['git'] or 'of unknown revision'}, {seeds_text(tree['seeds'])}.", ""]
     for heading, rows in tables_of(tree).items():
         lines += [f"## {heading}", ""] if heading else []
         lines += _table(rows)
@@ -62,7 +62,8 @@ def study_markdown(tree: dict[str, Any]) -> str:
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
-def _seeds(seeds: list[int]) -> str:
+def seeds_text(seeds: list[int]) -> str:
+    """Return how many seeds there are, and which."""
     return f"{len(seeds)} seed{'s' if len(seeds) != 1 else ''}: {', '.join(map(str, seeds))}" if seeds else "no seeds"
 
 

@@ -18,7 +18,7 @@ from made_up_results import write_bare, write_full, write_long
 from uav_vslam.errors import UavVslamError
 from uav_vslam.report.page.configuration import differing, flat
 from uav_vslam.report.page.map_folder import LARGEST_MODEL_BYTES
-from uav_vslam.report.page.page import NAME, labels_of, write_page
+from uav_vslam.report.page.page import NAME, write_page
 
 LARGEST_BYTES = 8_000_000
 
@@ -168,13 +168,6 @@ def test_settings_are_compared_by_their_full_names() -> None:
     a, b = flat({"x": {"y": 1, "z": 2}}), flat({"x": {"y": 1, "z": 3}, "w": 0})
     assert a == {"x.y": "1", "x.z": "2"}
     assert differing({"a": a, "b": b}) == ["x.z", "w"]
-
-
-def test_equal_names_of_folders_are_told_apart(tmp_path: Path) -> None:
-    a, b = tmp_path / "2026-01-31_120000_x", tmp_path / "2026-01-31_130000_x"
-    assert labels_of([a, b]) == [a.name, b.name]
-    assert labels_of([a]) == ["x"]
-    assert labels_of([a, a]) == ["1 x", "2 x"]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 """Reads the trajectories of a results folder back, as `output.write_results` wrote them."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -57,3 +58,11 @@ def at_equal_stamps(tracks: Tracks) -> Tracks:
 def short_name(folder: Path) -> str:
     """Return the name of a results folder without its date."""
     return DATE.sub("", folder.resolve().name)
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """Return a name of each file or folder: without ending or date, else in full, else numbered."""
+    short = [short_name(path) if path.is_dir() else path.stem for path in paths]
+    full = [path.resolve().name if path.is_dir() else f"{path.parent.name}/{path.name}" for path in paths]
+    numbered = [f"{number} {name}" for number, name in enumerate(short, 1)]
+    return next((names for names in (short, full) if len(set(names)) == len(names)), numbered)

@@ -11,7 +11,8 @@ from string import Template
 from typing import Any
 
 from uav_vslam.errors import UavVslamError
-from uav_vslam.evaluation.files.results_folder import short_name
+from uav_vslam.evaluation.files.results_folder import distinct_names, short_name
+from uav_vslam.evaluation.study import seeds_text
 from uav_vslam.report.page.configuration import configuration_section
 from uav_vslam.report.page.figures import figure_sections
 from uav_vslam.report.page.flight import FlightFiles, read_flight
@@ -73,16 +74,8 @@ def write_page(folders: Sequence[Path], output: Path | None = None) -> Path:
     return path
 
 
-def labels_of(folders: Sequence[Path]) -> list[str]:
-    """Return a name of each folder, in full where the short ones are the same, numbered where those are, too."""
-    short = [short_name(folder) for folder in folders]
-    full = [folder.resolve().name for folder in folders]
-    numbered = [f"{number} {name}" for number, name in enumerate(short, 1)]
-    return next((names for names in (short, full) if len(set(names)) == len(names)), numbered)
-
-
 def _flight_page(folders: Sequence[Path]) -> str:
-    flights = [read_flight(folder, label) for folder, label in zip(folders, labels_of(folders), strict=True)]
+    flights = [read_flight(folder, label) for folder, label in zip(folders, distinct_names(folders), strict=True)]
     figures, data = figure_sections(flights)
     sections = [
         section("views", "Trajectories and landmarks", Markup(VIEWS), short="Views"),
@@ -102,9 +95,7 @@ def _flight_page(folders: Sequence[Path]) -> str:
 
 def _study_page(folder: Path) -> str:
     tree, sections = study_sections(folder)
-    seeds = tree["seeds"]
-    drawn = f"{len(seeds)} seed{'s' if len(seeds) != 1 else ''}: {', '.join(map(str, seeds))}" if seeds else "no seeds"
-    facts = f"code {tree['git'] or 'of unknown revision'}; {drawn}"
+    facts = f"code {tree['git'] or 'of unknown revision'}; {seeds_text(tree['seeds'])}"
     return _page(tree["study"].replace("_", " "), [facts], sections, {})
 
 
