@@ -8,23 +8,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from picture_folder import flight, render, write
 from PIL import Image
+from similarity_errors import similarity_errors
 
 from uav_vslam.cli.main import main
 
 SIZE = (480, 360)
 CENTRES_SHARE = 0.01  # of the flight's extent, from COLMAP's
 SEAM_PX = 0.75
-
-
-def similarity_errors(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    U, S, Vt = np.linalg.svd(b.T @ a)
-    D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    scale = float((S * np.diag(D)).sum() / (a**2).sum())
-    return np.asarray(np.linalg.norm(scale * a @ (U @ D @ Vt).T - b, axis=1))
 
 
 def rows_of(path: Path) -> list[list[str]]:

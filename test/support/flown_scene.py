@@ -2,7 +2,7 @@
 """A small scene to fly over: any heights and colours, drawn by walking along each ray."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,3 +84,8 @@ class Scene:
             above = origin[2] - drop > self.surface(origin[0] + drop * slope_x, origin[1] + drop * slope_y)
             drop = np.where(above, np.minimum(drop + STEP_M, origin[2] - bottom), drop)
         return origin[0] + drop * slope_x, origin[1] + drop * slope_y
+
+
+def moved(view: View, east_m: float) -> View:
+    """Return a view with a pose further east."""
+    return replace(view, T_map_cam=Pose(view.T_map_cam.R, view.T_map_cam.t + np.array([east_m, 0.0, 0.0])))

@@ -5,10 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from flown_scene import Scene, patches, waves
+from flown_scene import Scene, moved, patches, waves
 
 from uav_vslam.errors import UavVslamError
-from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.orthomosaic import Exposure, Orthomosaic, blended_mosaic
 from uav_vslam.mapping.orthomosaic.thumbnail import thumbnail
 from uav_vslam.mapping.orthomosaic.tiles import Tile
@@ -119,15 +118,11 @@ def test_a_frame_touches_as_many_tiles_over_a_large_map_as_over_a_small_one(tmp_
     touched = []
     for k in range(12):
         before = mosaic.tiles.touched if k else 0
-        mosaic.add(_shifted(ALONG[0], k * step_m))
+        mosaic.add(moved(ALONG[0], k * step_m))
         touched.append(mosaic.tiles.touched - before)
         assert mosaic.tiles.in_memory <= 20
     assert len(set(touched)) == 1
     assert len(mosaic.tiles) > 20
-
-
-def _shifted(view, x_m):
-    return replace(view, T_map_cam=Pose(view.T_map_cam.R, view.T_map_cam.t + np.array([x_m, 0.0, 0.0])))
 
 
 def test_tiles_in_files_make_the_same_picture_as_in_memory(tmp_path: Path) -> None:

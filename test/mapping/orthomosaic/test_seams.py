@@ -1,21 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from flown_scene import Scene, patches
+from flown_scene import Scene, moved, patches
 
-from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.orthomosaic import Orthomosaic
 from uav_vslam.mapping.orthomosaic.seams import seams
-from uav_vslam.mapping.view import View
 
 SCENE = Scene(colour=patches(0.3))
 VIEWS = [SCENE.view((x, 0.0, 30.0), stamp_ns=round(x)) for x in (0.0, 9.0)]
-
-
-def moved(view: View, east_m: float) -> View:
-    return replace(view, T_map_cam=Pose(view.T_map_cam.R, view.T_map_cam.t + np.array([east_m, 0.0, 0.0])))
 
 
 @pytest.mark.parametrize("error_m", [0.0, 0.3, -0.12])

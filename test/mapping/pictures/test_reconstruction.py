@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from picture_folder import DATUM, FOCAL_PX, HEIGHT_M, PictureFlight, flight, render, write
+from similarity_errors import similarity_errors
 
 from uav_vslam.errors import PictureError
 from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic, to_geodetic
@@ -57,14 +58,6 @@ def with_gps(data: Matched, positions: Array) -> Matched:
     rows = [Geodetic(latitude, longitude, height) for longitude, latitude, height in geodetic]
     pictures = tuple(replace(picture, position=row) for picture, row in zip(data[0], rows, strict=True))
     return pictures, data[1], data[2]
-
-
-def similarity_errors(centres: Array, truth: Array) -> Array:
-    a, b = centres - centres.mean(axis=0), truth - truth.mean(axis=0)
-    U, S, Vt = np.linalg.svd(b.T @ a)
-    D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    scale = float((S * np.diag(D)).sum() / (a**2).sum())
-    return np.asarray(np.linalg.norm(scale * a @ (U @ D @ Vt).T - b, axis=1))
 
 
 def local_errors(found: Reconstruction, truth: Array) -> Array:
