@@ -8,6 +8,7 @@ import itertools
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from position_nees import position_nees
 from scipy.stats import chi2
 
 from uav_vslam.config import BackendConfig, FusionConfig, StartConfig, VehicleConfig
@@ -75,8 +76,7 @@ def position_error(vehicle: SimulatedVehicle, pose: PoseEstimate) -> Array:
 def end_nees(seed: int, model: str) -> float:
     (source,) = simulated(seed)
     pose = fly(source, config_of(source, model=model)).outputs[-1].report.pose
-    error = position_error(source.simulated, pose)
-    return float(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3)
+    return position_nees(pose, source.simulated.true_state(pose.stamp_ns))
 
 
 def test_the_default_model_is_consistent() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from flown_copy import copy_of
+from position_nees import position_nees
 
 from uav_vslam.config import InputConfig, VehicleConfig
 from uav_vslam.errors import BagError
@@ -72,8 +73,7 @@ def nees(vehicle: SimulatedVehicle, track: VehicleTrack, *, after_ns: int, offse
     found = []
     for pose in track.poses:
         true_ns = pose.stamp_ns - round(offset_s * NS_PER_S) if pose.stamp_ns > after_ns else pose.stamp_ns
-        error = pose.T_map_body.t - vehicle.true_state(true_ns).T_map_body.t
-        found.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
+        found.append(position_nees(pose, vehicle.true_state(true_ns)))
     return found
 
 

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from position_nees import position_nees
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fused_pose import move, propagated
@@ -42,11 +43,6 @@ def fixed(own: PoseEstimate, vehicle: SimulatedVehicle, rng: np.random.Generator
     return PoseEstimate(own.stamp_ns, pose, symmetrise(P - K @ H @ P))
 
 
-def nees(estimate: PoseEstimate, vehicle: SimulatedVehicle) -> float:
-    error = estimate.T_map_body.t - vehicle.true_state(estimate.stamp_ns).T_map_body.t
-    return float(error @ np.linalg.solve(estimate.covariance[:3, :3], error) / 3.0)
-
-
 @pytest.mark.parametrize("after_frames", [0, 2, 5])
 def test_a_correction_of_the_own_filter_leaves_the_fused_claim_true(after_frames: int) -> None:
     """Each epoch of each flight once more, with a correction so many frames after it."""
@@ -59,7 +55,7 @@ def test_a_correction_of_the_own_filter_leaves_the_fused_claim_true(after_frames
             for k in (k + after_frames for k in at if k + after_frames < FRAMES):
                 own = track.outputs[k].report.pose
                 fused = propagated(own, fleet[name].poses[k], fixed(own, vehicles[name], rng))
-                found.append(nees(fused, vehicles[name]))
+                found.append(position_nees(fused, vehicles[name].true_state(fused.stamp_ns)))
                 sigma_m.append(np.sqrt(np.trace(fused.covariance[:3, :3])))
     assert np.mean(found) <= LARGEST_MEAN
     assert max(sigma_m) <= 3 * np.sqrt(3) * FIX_SIGMA_M  # nor is it larger than what the correction leaves
@@ -71,6 +67,7 @@ def test_the_fused_claim_is_as_true_between_epochs_as_at_them() -> None:
         vehicles, tracks, fleet = flown(seed)
         for name, track in tracks.items():
             for output, pose in zip(track.outputs, fleet[name].poses, strict=True):
-                (at if output.joint is not None else between).append(nees(pose, vehicles[name]))
+                nees = position_nees(pose, vehicles[name].true_state(pose.stamp_ns))
+                (at if output.joint is not None else between).append(nees)
     assert np.mean(between) <= 1.1 * np.mean(at)
     assert 0.3 <= np.mean(between) <= LARGEST_MEAN

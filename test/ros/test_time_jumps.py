@@ -12,6 +12,7 @@ rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from lone_node import lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from node_flight import NodeFlight  # noqa: E402
+from position_nees import position_nees  # noqa: E402
 
 from uav_vslam.ros.convert import odometry_from_msg  # noqa: E402
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle  # noqa: E402
@@ -40,11 +41,9 @@ def stamps_ns(messages: list[Odometry]) -> list[int]:
 
 def worst_nees(vehicle: SimulatedVehicle, messages: list[Odometry], offset_s: float) -> float:
     """Return the largest position NEES, per axis, of estimates whose stamps are off by an offset."""
-    found = []
-    for pose in map(odometry_from_msg, messages):
-        error = pose.T_map_body.t - vehicle.true_state(pose.stamp_ns - round(offset_s * NS_PER_S)).T_map_body.t
-        found.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
-    return max(found)
+    offset_ns = round(offset_s * NS_PER_S)
+    poses = map(odometry_from_msg, messages)
+    return max(position_nees(pose, vehicle.true_state(pose.stamp_ns - offset_ns)) for pose in poses)
 
 
 @pytest.mark.slow

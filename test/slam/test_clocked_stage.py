@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from position_nees import position_nees
 
 from uav_vslam.config import InputConfig, VehicleConfig
 from uav_vslam.slam.clocked_stage import ClockedStage
@@ -46,12 +47,8 @@ def feed(clocked: ClockedStage, frames: Sequence[Frame], offset_s: float = 0.0) 
 
 def worst_nees(flight, outputs: list[FrameOutput], offset_s: float) -> float:
     """Return the largest position NEES, per axis, of frames whose stamps are off by an offset."""
-    found = []
-    for output in outputs:
-        pose = output.report.pose
-        error = pose.T_map_body.t - flight.vehicle.true_state(pose.stamp_ns - round(offset_s * NS_PER_S)).T_map_body.t
-        found.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
-    return max(found)
+    offset_ns, poses = round(offset_s * NS_PER_S), [output.report.pose for output in outputs]
+    return max(position_nees(pose, flight.vehicle.true_state(pose.stamp_ns - offset_ns)) for pose in poses)
 
 
 def same(a: FrameOutput, b: FrameOutput) -> bool:
