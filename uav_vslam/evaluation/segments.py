@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.evaluation.trajectory_error import angles, motion, rms
+from uav_vslam.evaluation.trajectory_error import motion_errors, rms
 from uav_vslam.numerics import nearest
 
 Array = NDArray[np.float64]
@@ -101,12 +101,10 @@ def motion_error(paired: Trajectory, truth: Trajectory, length_m: float) -> Moti
     if len(first) == 0:
         nan = float("nan")
         return MotionError(nan, nan, nan, nan, 0)
-    R_moved, t_moved = motion(paired, first, second)
-    R_true, t_true = motion(truth, first, second)
-    error = np.einsum("nij,nj->ni", truth.rotations[first], t_moved - t_true)
+    t_error, angle = motion_errors(paired, truth, first, second)
+    error = np.einsum("nij,nj->ni", truth.rotations[first], t_error)
     along, across, height = _by_direction(error, truth.positions[second] - truth.positions[first]).T
-    attitude = angles(R_true.transpose(0, 2, 1) @ R_moved)
-    return MotionError(rms(along), rms(across), rms(height), rms(attitude), len(first))
+    return MotionError(rms(along), rms(across), rms(height), rms(angle), len(first))
 
 
 def _by_direction(errors: Array, moved: Array) -> Array:
@@ -130,14 +128,12 @@ def _segment_error(paired: Trajectory, truth: Trajectory, distance_m: Array, len
     first, second = _segments(distance_m, length_m)
     if len(first) == 0:
         return SegmentError(length_m, float("nan"), float("nan"), 0)
-    R_moved, t_moved = motion(paired, first, second)
-    R_true, t_true = motion(truth, first, second)
-    R_error = R_true.transpose(0, 2, 1) @ R_moved
+    t_error, angle = motion_errors(paired, truth, first, second)
     travelled_m = distance_m[second] - distance_m[first]
     return SegmentError(
         length_m,
-        translation=float(np.mean(np.linalg.norm(t_moved - t_true, axis=1) / travelled_m)),
-        rotation=float(np.mean(angles(R_error) / travelled_m)),
+        translation=float(np.mean(np.linalg.norm(t_error, axis=1) / travelled_m)),
+        rotation=float(np.mean(angle / travelled_m)),
         segments=len(first),
     )
 

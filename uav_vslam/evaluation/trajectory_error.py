@@ -73,7 +73,7 @@ def absolute_error(estimate: Trajectory, truth: Trajectory, *, alignment: str = 
     T_truth_estimate = ALIGNMENTS[alignment](paired.positions, reference.positions)
     error = T_truth_estimate.apply(paired.positions) - reference.positions
     distance = np.linalg.norm(error, axis=1)
-    angle = angles(reference.rotations.transpose(0, 2, 1) @ T_truth_estimate.R @ paired.rotations)
+    angle = _angles(reference.rotations.transpose(0, 2, 1) @ T_truth_estimate.R @ paired.rotations)
     return AbsoluteError(
         ate_m=rms(distance),
         end_m=float(distance[-1]),
@@ -101,11 +101,10 @@ def relative_error(estimate: Trajectory, truth: Trajectory, *, delta_s: float) -
     first, second = _index_pairs(paired.stamps_ns, delta_s)
     if len(first) == 0:
         return None
-    R_moved, t_moved = motion(paired, first, second)
-    R_true, t_true = motion(reference, first, second)
+    t_error, angle = motion_errors(paired, reference, first, second)
     return RelativeError(
-        translation_rms_m=rms(np.linalg.norm(t_moved - t_true, axis=1)),  # R_true^T doesn't change a length
-        rotation_rms_rad=rms(angles(R_true.transpose(0, 2, 1) @ R_moved)),
+        translation_rms_m=rms(np.linalg.norm(t_error, axis=1)),  # R_true^T doesn't change a length
+        rotation_rms_rad=rms(angle),
         pairs=len(first),
     )
 
@@ -122,14 +121,23 @@ def _index_pairs(stamps_ns: NDArray[np.int64], delta_s: float) -> tuple[NDArray[
     return rows[good], second[good]
 
 
-def motion(trajectory: Trajectory, first: NDArray[np.intp], second: NDArray[np.intp]) -> tuple[Array, Array]:
+def motion_errors(
+    estimate: Trajectory, truth: Trajectory, first: NDArray[np.intp], second: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Return errors of T_first_second for each pair of rows: (N, 3) translation [m], and (N,) angle [rad]."""
+    R_moved, t_moved = _motion(estimate, first, second)
+    R_true, t_true = _motion(truth, first, second)
+    return t_moved - t_true, _angles(R_true.transpose(0, 2, 1) @ R_moved)
+
+
+def _motion(trajectory: Trajectory, first: NDArray[np.intp], second: NDArray[np.intp]) -> tuple[Array, Array]:
     """Return rotation and translation of T_first_second for each pair of rows."""
     R, p = trajectory.rotations, trajectory.positions
     R_first_map = R[first].transpose(0, 2, 1)
     return R_first_map @ R[second], np.einsum("nij,nj->ni", R_first_map, p[second] - p[first])
 
 
-def angles(R: Array) -> Array:
+def _angles(R: Array) -> Array:
     """Return the (N,) angles [rad] of (N, 3, 3) rotations."""
     return np.asarray(np.linalg.norm(so3_log(R), axis=-1))
 
