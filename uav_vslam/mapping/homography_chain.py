@@ -20,8 +20,7 @@ from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.view import Image
 from uav_vslam.vision.features.base import Keypoints
 from uav_vslam.vision.features.sift import SiftExtractor
-from uav_vslam.vision.matching.nn_ratio import nn_mutual
-from uav_vslam.vision.matching.ransac import same_homography
+from uav_vslam.vision.matching.ransac import ransac_homography
 
 Array = NDArray[np.float64]
 
@@ -83,15 +82,13 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
 
 def _between(points: Keypoints, name: str | int, before: Keypoints, name_before: str | int) -> Array:
     """Return the homography from an image to the one before."""
-    pairs = nn_mutual(points, before, RATIO)
-    a, b = points.pixels[pairs[:, 0]], before.pixels[pairs[:, 1]]
-    agreeing = same_homography(a, b)
-    if len(agreeing) < LEAST_MATCHES:
+    pairs = ransac_homography(points, before, RATIO)
+    if len(pairs) < LEAST_MATCHES:
         raise UavVslamError(
-            f"images {name_before} and {name} have {len(agreeing)} points in common, a chain of homographies needs "
+            f"images {name_before} and {name} have {len(pairs)} points in common, a chain of homographies needs "
             f"{LEAST_MATCHES}; take images that overlap more"
         )
-    H, _ = cv2.findHomography(a[agreeing], b[agreeing], 0)
+    H, _ = cv2.findHomography(points.pixels[pairs[:, 0]], before.pixels[pairs[:, 1]], 0)
     return np.asarray(H)
 
 

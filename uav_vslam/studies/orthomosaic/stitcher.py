@@ -16,8 +16,7 @@ from uav_vslam.config import FrontendConfig
 from uav_vslam.mapping.view import Image
 from uav_vslam.processes import worker_pool
 from uav_vslam.vision.features.sift import SiftExtractor
-from uav_vslam.vision.matching.nn_ratio import nn_mutual
-from uav_vslam.vision.matching.ransac import same_homography
+from uav_vslam.vision.matching.ransac import ransac_homography
 
 Array = NDArray[np.float64]
 
@@ -54,10 +53,8 @@ def _stitched(images: Sequence[Image]) -> tuple[Image, Array] | None:
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     first = SiftExtractor(FrontendConfig(max_features=FEATURES)).detect(images[0])
     whole = SiftExtractor(FrontendConfig(max_features=FEATURES_OF_PICTURE)).detect(grey)
-    pairs = nn_mutual(first, whole, RATIO)
-    a, b = first.pixels[pairs[:, 0]], whole.pixels[pairs[:, 1]]
-    agreeing = same_homography(a, b)
-    if len(agreeing) < 3:
+    pairs = ransac_homography(first, whole, RATIO)
+    if len(pairs) < 3:
         return None
-    affinity, _ = cv2.estimateAffine2D(a[agreeing], b[agreeing])
+    affinity, _ = cv2.estimateAffine2D(first.pixels[pairs[:, 0]], whole.pixels[pairs[:, 1]])
     return grey, np.vstack([affinity, [0.0, 0.0, 1.0]])
