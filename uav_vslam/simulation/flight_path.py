@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 KNOT_RATE_HZ = 50.0  # twelve knots to the fastest vibration's period
 MARGIN_S = 1.0  # motion is defined this long before the first and after the last frame
 ROLL_IN_S = 2.0  # a turn's yaw rate is smoothed over this time
-CIRCUIT_LEG_M = 750.0
+LEG_M, CIRCUIT_LEG_M = 300.0, 750.0
+SPACING_M = 25.0  # of parallel legs
+LEG_TURN_DEG = 15.0  # between straight legs
 TOGETHER_S = 60.0  # until vehicles part
 BANK_DEG = 25.0  # of the patterns' turns
 SINES = 8  # of a disturbance
@@ -54,25 +56,23 @@ class Disturbance:
         return np.asarray(amplitude * np.sin(2.0 * np.pi * np.outer(times_s, frequency) + phase).sum(axis=1))
 
 
-def leg_pattern(duration_s: float, speed: float, *, turn_deg: float = 15.0) -> list[Segment]:
+def leg_pattern(duration_s: float, speed: float) -> list[Segment]:
     """Straight legs of 6 s, joined by gentle turns to alternating sides, for at least `duration_s`."""
     del speed
-    turn = np.deg2rad(turn_deg)
+    turn = np.deg2rad(LEG_TURN_DEG)
     cycle = [Segment(6.0, 0.0), Segment(3.0, turn), Segment(6.0, 0.0), Segment(3.0, -turn)]
     return _repeat(cycle, duration_s)
 
 
-def lawnmower_pattern(
-    duration_s: float, speed: float, *, leg_m: float = 300.0, spacing_m: float = 25.0
-) -> list[Segment]:
-    """Parallel legs `spacing_m` apart, so that neighbours overlap and places are revisited.
+def lawnmower_pattern(duration_s: float, speed: float) -> list[Segment]:
+    """Parallel legs `SPACING_M` apart, so that neighbours overlap and places are revisited.
 
     A plain half turn would put the next leg two turn radii away; the bulb turn (away by alpha, back by pi + 2 alpha,
     away by alpha, with cos alpha = (r + d/2) / 2r) puts it at any smaller distance d.
     """
     radius = _turn_radius_m(speed)
-    alpha = np.arccos(min(1.0, (radius + 0.5 * spacing_m) / (2.0 * radius)))
-    leg = Segment(leg_m / speed, 0.0)
+    alpha = np.arccos(min(1.0, (radius + 0.5 * SPACING_M) / (2.0 * radius)))
+    leg = Segment(LEG_M / speed, 0.0)
 
     def arc(turn_rad: float) -> Segment:
         return Segment(abs(turn_rad) * radius / speed, turn_rad)
@@ -83,7 +83,7 @@ def lawnmower_pattern(
     return _repeat([leg, *bulb(1.0), leg, *bulb(-1.0)], duration_s)
 
 
-def racetrack_pattern(duration_s: float, speed: float, *, leg_m: float = 300.0) -> list[Segment]:
+def racetrack_pattern(duration_s: float, speed: float, *, leg_m: float = LEG_M) -> list[Segment]:
     """Two legs joined by left half turns, flown repeatedly over the same ground."""
     radius = _turn_radius_m(speed)
     return _repeat([Segment(leg_m / speed, 0.0), Segment(np.pi * radius / speed, np.pi)], duration_s)
