@@ -14,7 +14,7 @@ from ridged_roof import roof_corners
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.simulation.camera_render import STEEPEST_RAY, CameraRenderer, RenderedFlight
+from uav_vslam.simulation.camera_render import CameraRenderer, RenderedFlight
 from uav_vslam.simulation.object_render import SAMPLES, SolidPainter, pixel_samples
 from uav_vslam.simulation.ridged import Ridged
 from uav_vslam.simulation.rig import R_BODY_OPTICAL, kagaru_rig
@@ -44,7 +44,7 @@ def barn(heading: float) -> Ridged:
 def coverage(camera: PinholeCamera, T_world_cam: Pose, solid: Ridged) -> Image:
     """Return the share of each pixel that a solid on a plane z = 0 covers, from images over black and white ground."""
     shape = camera.height, camera.width
-    painter = SolidPainter(camera, T_world_cam, [solid], flattest=STEEPEST_RAY)
+    painter = SolidPainter(camera, T_world_cam, [solid])
     black, white = (
         painter.draw(np.full(shape, grey, np.float32), np.full(shape, T_world_cam.t[2])) for grey in (0.0, 100.0)
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.farm_texture import REACH_M
-from uav_vslam.simulation.object_render import SAMPLES, SolidPainter
+from uav_vslam.simulation.object_render import FLATTEST_RAY, SAMPLES, SolidPainter
 from uav_vslam.simulation.rig import scaled
 from uav_vslam.simulation.scenario import Purpose, SimulatedVehicle
 from uav_vslam.simulation.shading import sunward
@@ -27,7 +27,6 @@ Grey = NDArray[np.uint8]
 
 GRID_PX = 8
 HEIGHT_STEPS = 4
-STEEPEST_RAY = -0.1  # least downward component of a ray; flatter ones are clamped to it
 BLUR_SAMPLES = 33
 MEAN_GREY = np.float32(128.0)  # towards which reduced contrast fades
 MOTION_STEP_S = 1e-3
@@ -96,7 +95,7 @@ class CameraRenderer:
             blur: image motion during the exposure along u and v [px].
         """
         rays = self._rays_cam @ T_world_cam.R.T
-        rays[..., 2] = np.minimum(rays[..., 2], STEEPEST_RAY)
+        rays[..., 2] = np.minimum(rays[..., 2], FLATTEST_RAY)
         points = intersect(self._ground.relief, T_world_cam.t, rays)
         image = self._ground_image(points[..., :2] / self._texture.m_per_px)
         if self._ground.farm is not None:
@@ -120,7 +119,6 @@ class CameraRenderer:
             self._drawn,
             T_world_cam,
             self._ground.farm.solids(lean_bounds(T_world_cam.t, points)),
-            flattest=STEEPEST_RAY,
             samples=max(4, SAMPLES // self._supersample**2),
         )
         return painter.draw(image.astype(np.float32), T_world_cam.t[2] - self._enlarge(points[..., 2]))

@@ -23,6 +23,7 @@ SAMPLES = 16  # rays per pixel at edges
 WALL_SAMPLES = 4  # and on walls
 IN_FRONT_M = 1.0  # a solid nearer to the image plane may cover any pixel
 FACES = 16  # more than there are
+FLATTEST_RAY = -0.1  # greatest z in the world of a ray whose z in the camera is 1; flatter ones are clamped to it
 
 
 @dataclass(slots=True)
@@ -63,7 +64,6 @@ class SolidPainter:
         T_world_cam: Pose,
         solids: list[Solid],
         *,
-        flattest: float,
         samples: int = SAMPLES,
     ) -> None:
         """Prepare to draw.
@@ -72,10 +72,9 @@ class SolidPainter:
             camera: intrinsics, with lens distortion.
             T_world_cam: pose of the optical frame.
             solids: what may be in view, and all that keeps the sun away from it.
-            flattest: greatest z of rays in the world, of rays whose z in the camera is 1.
             samples: rays per pixel at edges.
         """
-        self._camera, self._pose, self._flattest = camera, T_world_cam, flattest
+        self._camera, self._pose = camera, T_world_cam
         self._solids, self._shadows = solids, Shadows(solids)
         self._samples = samples
         self._boxes = [self._box(solid) for solid in solids]
@@ -133,7 +132,7 @@ class SolidPainter:
     def _rays(self, pixels: Array) -> Array:
         """Return (..., 3) world rays with z = -1 through (..., 2) raw pixels."""
         rays = self._camera.bearings(self._camera.undistort(pixels)) @ self._pose.R.T
-        return np.asarray(rays / -np.minimum(rays[..., 2:], self._flattest) * [1.0, 1.0, 0.0] - [0.0, 0.0, 1.0])
+        return np.asarray(rays / -np.minimum(rays[..., 2:], FLATTEST_RAY) * [1.0, 1.0, 0.0] - [0.0, 0.0, 1.0])
 
     def _box(self, solid: Solid) -> Box | None:
         """Return a rectangle of the image that contains a solid, None if it is out of view."""
