@@ -3,7 +3,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,11 +12,10 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.comparison import PairedRun, aligned_positions
 from uav_vslam.report.layout import ALIGNMENT_TITLES
-from uav_vslam.report.style import LINE_COLOURS, STYLES, clean, plain_log, save
+from uav_vslam.report.style import STYLES, clean, numbered_line, plain_log, save
 
 Array = NDArray[np.float64]
 
-DASHES = ("-", "--", ":", "-.")  # a further one once the colours are used up
 MARGIN = 0.4  # of the truth's size that a diverging run may widen the view on each side; the rest is clipped
 FAR_APART = 30.0  # ratio of the runs' largest errors from which the error's axis is logarithmic
 PLAN_SHAPE = 0.85  # height over width of the plan view's panel
@@ -39,9 +37,9 @@ def comparison_plot(runs: Sequence[PairedRun], *, alignment: str, title: str) ->
     height, error = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     _draw_truth(runs, plan, height)
     for k, (run, estimate) in enumerate(zip(runs, positions, strict=True)):
-        plan.plot(estimate[:, 0], estimate[:, 1], **_line(k))
-        height.plot(run.flown_m, estimate[:, 2], **_line(k))
-        error.plot(run.flown_m, _errors_m(run, estimate), **_line(k))
+        plan.plot(estimate[:, 0], estimate[:, 1], **numbered_line(k, width=1.3))
+        height.plot(run.flown_m, estimate[:, 2], **numbered_line(k, width=1.3))
+        error.plot(run.flown_m, _errors_m(run, estimate), **numbered_line(k, width=1.3))
     _finish(runs, positions, plan, height, error)
     figure.suptitle(f"{title} ({ALIGNMENT_TITLES[alignment]})")
     columns = 4 if max(len(run.run.label) for run in runs) <= SHORT_LABEL else 3
@@ -98,13 +96,8 @@ def _errors_m(run: PairedRun, positions: Array) -> Array:
     return np.asarray(np.linalg.norm(positions - run.truth.positions, axis=1))
 
 
-def _line(k: int) -> dict[str, Any]:
-    dashes = DASHES[k // len(LINE_COLOURS) % len(DASHES)]
-    return {"color": LINE_COLOURS[k % len(LINE_COLOURS)], "linestyle": dashes, "linewidth": 1.3}
-
-
 def _legend(runs: Sequence[PairedRun]) -> list[Line2D]:
     truth = STYLES["truth"]
-    lines = [Line2D([], [], label=run.run.label, **_line(k)) for k, run in enumerate(runs)]
+    lines = [Line2D([], [], label=run.run.label, **numbered_line(k, width=1.3)) for k, run in enumerate(runs)]
     start = Line2D([], [], linestyle="", marker="o", color="black", markerfacecolor="white", label="Start")
     return [Line2D([], [], label=truth.label, color=truth.colour, linewidth=truth.width), *lines, start]

@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -24,6 +25,7 @@ DPI = 150
 GRID = "#d9d9d9"
 BAND = "#d7ecd9"  # background of the consistent range
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")  # colour-blind safe
+LINE_DASHES = ("-", "--", ":", "-.")
 MANY_DECADES = 500.0  # largest over smallest from which a logarithmic axis shows powers of ten only
 NARROW = 3.0  # largest over smallest up to which 1, 2 and 5 may leave a logarithmic axis with a single label
 AXES = ("East", "North", "Up")
@@ -77,6 +79,12 @@ def _extent(positions: list[Array]) -> tuple[Array, Array]:
     every = np.concatenate(positions)
     every = every[np.isfinite(every).all(axis=1)]
     return (every.min(axis=0), every.max(axis=0)) if len(every) else (np.zeros(3), np.zeros(3))
+
+
+def numbered_line(number: int, *, width: float) -> dict[str, Any]:
+    """Return the style of one of many lines: by colour, and by dashes once the colours are used up."""
+    dashes = LINE_DASHES[number // len(LINE_COLOURS) % len(LINE_DASHES)]
+    return {"color": LINE_COLOURS[number % len(LINE_COLOURS)], "linestyle": dashes, "linewidth": width}
 
 
 def clean(axes: Axes) -> None:

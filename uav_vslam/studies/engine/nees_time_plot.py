@@ -7,10 +7,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.report.nees_plot import ROWS, draw_band, nees_axis
-from uav_vslam.report.style import LINE_COLOURS, save
+from uav_vslam.report.style import numbered_line, save
 
 LOWEST_MEAN = 0.05  # means over many runs scatter less than a run
-DASHES = ("-", "--", ":", "-.")
 
 
 def draw_nees(tree: dict[str, Any], folder: Path) -> list[Path]:
@@ -35,9 +34,7 @@ def nees_over_time(curves: list[dict[str, Any]]) -> Figure:
         for axes, part in zip(column, ROWS.values(), strict=True):
             draw_band(axes, runs=runs)
             for curve in found:
-                number = methods.index(curve["method"])
-                colour, dashes = LINE_COLOURS[number % len(LINE_COLOURS)], DASHES[number // len(LINE_COLOURS) % 4]
-                line = {"color": colour, "linestyle": dashes, "linewidth": 1.4}
+                line = numbered_line(methods.index(curve["method"]), width=1.4)
                 axes.plot(curve["time_s"], curve[f"nees_{part}"], label=curve["method"], **line)
         column[0].set_title(f"{condition}\n(95 % band of the mean of {runs} runs)", fontsize=10)
         column[-1].set_xlabel("Time [s]")
