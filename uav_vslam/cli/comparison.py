@@ -72,7 +72,7 @@ def _of_folder(folder: Path, name: str, truth: Trajectory | None) -> list[Run]:
     from uav_vslam.errors import TrajectoryFileError
     from uav_vslam.evaluation.comparison import Run
     from uav_vslam.evaluation.files.results_folder import at_equal_stamps, read_results
-    from uav_vslam.report.table import NAMES
+    from uav_vslam.evaluation.summary import TRACK_NAMES
 
     runs = []
     for vehicle, tracks in read_results(folder).items():
@@ -80,7 +80,7 @@ def _of_folder(folder: Path, name: str, truth: Trajectory | None) -> list[Run]:
         if reference is None:
             raise TrajectoryFileError(f"{folder} holds no ground truth of {vehicle}; give --truth FILE")
         estimates = at_equal_stamps(tracks)
-        runs += [Run(name, f"{vehicle} {NAMES[track]}", found, reference) for track, found in estimates.items()]
+        runs += [Run(name, f"{vehicle} {TRACK_NAMES[track]}", found, reference) for track, found in estimates.items()]
     return runs
 
 

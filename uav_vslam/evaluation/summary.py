@@ -22,7 +22,8 @@ from uav_vslam.evaluation.trajectory import Trajectory, interpolate
 
 Figures = dict[str, Any]
 
-TRACKS = ("ins", "s_slam", "c_slam", "smoothed")
+TRACK_NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM", "smoothed": "smoothed"}
+TRACKS = tuple(TRACK_NAMES)
 
 
 def build_summary(result: FlightResult, *, git: str | None, alignment: str = "none") -> Figures:

@@ -6,11 +6,10 @@ from rich.table import Table
 
 from uav_vslam.evaluation.clock_offset import ClockOffset
 from uav_vslam.evaluation.scores import ATE_KEYS
-from uav_vslam.evaluation.summary import TRACKS, Figures
+from uav_vslam.evaluation.summary import TRACK_NAMES, TRACKS, Figures
 from uav_vslam.report.layout import NEES_TITLES, RELATIVE_TITLES, ate_title, figure_text, new_table, print_table, wide
 from uav_vslam.report.quality_lines import quality_lines
 
-NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM", "smoothed": "smoothed"}
 CLAIMS = {
     "1σ at\nend [m]": "sigma_end_m",
     "per 100 m\n[m]": "sigma_per_100m_m",
@@ -69,7 +68,7 @@ def _rows(summary: Figures, columns: dict[str, str]) -> Table:
             figures = tracks[track]
             cells = [figure_text(figures.get(key)) for key in columns.values()]
             first, last = track == present[0], track == present[-1]
-            table.add_row(name if first else "", NAMES[track], *cells, end_section=last)
+            table.add_row(name if first else "", TRACK_NAMES[track], *cells, end_section=last)
     return table
 
 

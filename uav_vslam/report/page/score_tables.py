@@ -3,12 +3,12 @@
 
 from collections.abc import Sequence
 
-from uav_vslam.evaluation.summary import TRACKS
+from uav_vslam.evaluation.summary import TRACK_NAMES, TRACKS
 from uav_vslam.report.layout import RELATIVE_TITLES, figure_text
 from uav_vslam.report.page.flight import Figures, FlightFiles
 from uav_vslam.report.page.html import Cell, Markup, joined, section, table, tag
 from uav_vslam.report.quality_lines import quality_lines
-from uav_vslam.report.table import CLAIMS, NAMES, is_scored, link_line, score_titles
+from uav_vslam.report.table import CLAIMS, is_scored, link_line, score_titles
 
 VERDICTS = {"over-confident": "bad", "conservative": "fair", "consistent": "good"}
 
@@ -85,5 +85,5 @@ def _table(flights: Sequence[FlightFiles], columns: dict[str, str], caption: str
             for track in (track for track in TRACKS if tracks[track] is not None):
                 figures = [figure_text(tracks[track].get(key)) for key in columns.values()]
                 cells: list[Cell] = [(figure, "number") for figure in figures]
-                rows.append([*([flight.label] if several else []), name, NAMES[track], *cells])
+                rows.append([*([flight.label] if several else []), name, TRACK_NAMES[track], *cells])
     return joined([table(heads, rows, caption=caption)])

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.studies.engine.flights import LABELS, TRACKS, Method, NeesCurve, Outcome, run_seed
+from uav_vslam.evaluation.summary import TRACK_NAMES, TRACKS
+from uav_vslam.studies.engine.flights import Method, NeesCurve, Outcome, run_seed
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, ratio, ratio_interval, rms
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 
@@ -56,7 +57,7 @@ def method_rows(method: Method, outcomes: Sequence[Outcome], tracks: Sequence[st
     ends = {track: rms(values_of(scores[track], "end_m")) for track in TRACKS}
     return [
         {
-            "method": LABELS[track] if track == "ins" else f"{LABELS[track]} {method.name}",
+            "method": TRACK_NAMES[track] if track == "ins" else f"{TRACK_NAMES[track]} {method.name}",
             "condition": method.condition,
             **pooled_scores(scores[track]),
             **mean_interval("nees_position", _of_seeds(good, track, "nees_position", mean)),
@@ -86,7 +87,7 @@ def nees_series(methods: Sequence[Method], outcomes: Sequence[Outcome]) -> list[
             whole = [curve for curves in found for curve in curves]
             if whole:
                 runs = len(whole) if track != "c_slam" else sum(bool(curves) for curves in found)
-                label = {"method": f"{LABELS[track]} {method.name}", "condition": method.condition, "runs": runs}
+                label = {"method": f"{TRACK_NAMES[track]} {method.name}", "condition": method.condition, "runs": runs}
                 series.append(label | _mean_curve(whole))
     return series
 

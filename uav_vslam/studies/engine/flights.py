@@ -15,7 +15,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import VehicleResult
-from uav_vslam.evaluation.summary import build_summary
+from uav_vslam.evaluation.summary import TRACKS, build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
 from uav_vslam.geometry.stereo import StereoRig
@@ -33,8 +33,6 @@ from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
-LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM", "smoothed": "smoothed"}
-TRACKS = tuple(LABELS)
 RELIEF_PER_ALTITUDE = 0.03  # as in the default scenario
 
 

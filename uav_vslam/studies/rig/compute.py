@@ -10,9 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.study import Row
+from uav_vslam.evaluation.summary import TRACK_NAMES
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.flight_rows import scores_of
-from uav_vslam.studies.engine.flights import LABELS, Method, Outcome, run_seed
+from uav_vslam.studies.engine.flights import Method, Outcome, run_seed
 from uav_vslam.studies.engine.pool import in_pool, mean, ratio
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 from uav_vslam.studies.engine.variants import CALIBRATIONS
@@ -92,9 +93,9 @@ def _fly(job: Job) -> list[Outcome]:
 
 
 def _rows(flown: Mapping[Method, Sequence[Outcome]]) -> list[Row]:
-    rows: list[Row] = [{"condition": "any", "method": LABELS[INS], **_figures(next(iter(flown.values())), INS)}]
+    rows: list[Row] = [{"condition": "any", "method": TRACK_NAMES[INS], **_figures(next(iter(flown.values())), INS)}]
     for method, outcomes in flown.items():
-        label = f"{LABELS[S_SLAM]}, {method.name}"
+        label = f"{TRACK_NAMES[S_SLAM]}, {method.name}"
         rows.append({"condition": method.condition, "method": label, **_figures(outcomes, S_SLAM)})
     reference = rows[1]["end_rms_m"]
     return [{**row, "end_ratio_to_rigid": ratio(row["end_rms_m"], reference)} for row in rows]

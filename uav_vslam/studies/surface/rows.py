@@ -4,7 +4,7 @@
 from collections.abc import Sequence
 
 from uav_vslam.evaluation.study import TABLE, Row
-from uav_vslam.studies.engine.flights import LABELS
+from uav_vslam.evaluation.summary import TRACK_NAMES
 from uav_vslam.studies.engine.pool import mean, rms
 from uav_vslam.studies.surface.compute import MappedSeed
 
@@ -33,7 +33,7 @@ def pose_rows(found: Sequence[MappedSeed]) -> list[Row]:
     rows: list[Row] = []
     for kind in found[0].poses:
         scores = [score for seed in found for score in seed.poses[kind]]
-        row: Row = {TABLE: "Poses", "method": LABELS.get(kind, kind), "condition": "rendered images"}
+        row: Row = {TABLE: "Poses", "method": TRACK_NAMES.get(kind, kind), "condition": "rendered images"}
         row |= {
             key: rms([score[name] for score in scores if score[name] is not None]) for key, name in POSE_KEYS.items()
         }
