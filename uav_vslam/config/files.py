@@ -15,7 +15,7 @@ import difflib
 import ipaddress
 import os
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +38,24 @@ def find_config(name: str) -> Path:
     Raises:
         ConfigError: there is neither.
     """
-    candidates = [Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in _folders())]
-    for candidate in candidates:
+    return _find(name, "configuration", _folders())
+
+
+def find_link(name: str) -> Path:
+    """Return the file of an emulated radio link: a path, or the name of a file in `config/links`.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    return _find(name, "link", [folder / "links" for folder in _folders()])
+
+
+def _find(name: str, kind: str, folders: Sequence[Path]) -> Path:
+    for candidate in (Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in folders)):
         if candidate.is_file():
             return candidate
-    known = ", ".join(sorted(file.stem for file in _folders()[0].glob("*.yaml")))
-    raise ConfigError(f"configuration {name!r} is neither a file nor one of ours ({known})")
+    known = ", ".join(sorted({file.stem for folder in folders for file in folder.glob("*.yaml")}))
+    raise ConfigError(f"{kind} {name!r} is neither a file nor one of ours ({known})")
 
 
 def find_dds_profile(name: str) -> Path:
@@ -63,20 +75,6 @@ def _folders() -> list[Path]:
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(":")
     installed = [Path(prefix) / "share/uav_vslam/config" for prefix in prefixes]
     return [Path(__file__).resolve().parents[2] / "config", *installed]
-
-
-def find_link(name: str) -> Path:
-    """Return the file of an emulated radio link: a path, or the name of a file in `config/links`.
-
-    Raises:
-        ConfigError: there is neither.
-    """
-    try:
-        return find_config(name if Path(name).is_file() else f"links/{name}")
-    except ConfigError:
-        ours = find_config("links/clean").parent.glob("*.yaml")
-        known = ", ".join(sorted(file.stem for file in ours))
-        raise ConfigError(f"link {name!r} is neither a file nor one of ours ({known})") from None
 
 
 def load_vehicle(path: Path | None, *, overrides: Mapping[str, Any] | None = None) -> VehicleConfig:
