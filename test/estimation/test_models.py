@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from map_error import map_error
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from uav_vslam.estimation.models import MODELS, POSE, RightInvariant15, chart_transport, difference
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import rotation_from_rpy, skew, so3_exp, so3_log
+from uav_vslam.geometry.rotation import rotation_from_rpy, skew, so3_exp
 from uav_vslam.ins.propagation import NAV_DIM, POSITION, ROTATION, VELOCITY
 from uav_vslam.types import NavState
 
@@ -29,19 +30,6 @@ NAV = NavState(
     *np.full((2, 3), 0.01),
 )
 LANDMARKS = np.array([[45.0, -10.0, 1.0], [20.0, -30.0, -2.0], [60.0, 5.0, 0.5]])
-
-
-def map_error(to: NavState, nav: NavState) -> Array:
-    """Return the map-frame error: plain differences, and xi with R_to = Exp(xi) R."""
-    return np.concatenate(
-        [
-            to.T_map_body.t - nav.T_map_body.t,
-            to.v_map - nav.v_map,
-            so3_log(to.T_map_body.R @ nav.T_map_body.R.T),
-            to.gyro_bias - nav.gyro_bias,
-            to.accel_bias - nav.accel_bias,
-        ]
-    )
 
 
 @pytest.fixture(scope="module", params=sorted(MODELS))

@@ -6,12 +6,14 @@ import itertools
 
 import numpy as np
 import pytest
+from increment_error import shifted
+from map_error import map_error
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import so3_exp, so3_log
+from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.ins.propagation import (
     ACCEL_BIAS,
@@ -55,18 +57,6 @@ def moved(state: NavState, error: Array) -> NavState:
     )
 
 
-def error_of(true: NavState, state: NavState) -> Array:
-    return np.concatenate(
-        [
-            true.T_map_body.t - state.T_map_body.t,
-            true.v_map - state.v_map,
-            so3_log(true.T_map_body.R @ state.T_map_body.R.T),
-            true.gyro_bias - state.gyro_bias,
-            true.accel_bias - state.accel_bias,
-        ]
-    )
-
-
 def increment_of(samples: list[ImuSample], imu: ImuConfig, at: NavState | None = None) -> ImuIncrement:
     """Return the motion from the first to the last reading, linearised at the biases of a state, or at zero."""
     biases = (np.zeros(3), np.zeros(3)) if at is None else (at.gyro_bias, at.accel_bias)
@@ -93,7 +83,7 @@ def test_transition_is_the_derivative_of_the_mean(start: NavState, increment: Im
     for k, step in enumerate(STEP * np.eye(NAV_DIM)):
         plus = propagate(moved(start, step), increment, gravity=IMU.gravity)
         minus = propagate(moved(start, -step), increment, gravity=IMU.gravity)
-        numeric[:, k] = (error_of(plus, end) - error_of(minus, end)) / (2 * STEP)
+        numeric[:, k] = (map_error(plus, end) - map_error(minus, end)) / (2 * STEP)
     np.testing.assert_allclose(F, numeric, rtol=0, atol=DIFFERENCE)
 
 
@@ -102,13 +92,8 @@ def test_process_noise_is_the_increments_error_propagated_to_the_end(start: NavS
     end = propagate(start, increment, gravity=IMU.gravity)
     columns = []
     for step in STEP * np.eye(9):
-        noisy = dataclasses.replace(
-            increment,
-            delta_R=increment.delta_R @ so3_exp(step[:3]),
-            delta_v=increment.delta_v + step[3:6],
-            delta_p=increment.delta_p + step[6:9],
-        )
-        columns.append(error_of(propagate(start, noisy, gravity=IMU.gravity), end) / STEP)
+        noisy = shifted(increment, step)
+        columns.append(map_error(propagate(start, noisy, gravity=IMU.gravity), end) / STEP)
     G = np.column_stack(columns)
     expected = G @ increment.covariance @ G.T
     scale = np.where(np.arange(NAV_DIM) < 9, np.sqrt(np.diag(expected)), 1.0)
@@ -153,7 +138,7 @@ def test_dead_reckoning_with_walking_biases_is_consistent(flight: SimulatedVehic
         end = dataclasses.replace(
             flight.true_state(int(stamps[-1])), gyro_bias=noisy.gyro_bias[-1], accel_bias=noisy.accel_bias[-1]
         )
-        errors.append(error_of(end, state))
+        errors.append(map_error(end, state))
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 3 * FLIGHTS) / (3 * FLIGHTS)
     for rows in (POSITION, VELOCITY, ROTATION, GYRO_BIAS, ACCEL_BIAS):
         e = np.array(errors)[:, rows]

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from increment_error import shifted
 from numpy.typing import NDArray
 from position_nees import position_nees
 
 from uav_vslam.config import BackendConfig, VehicleConfig
-from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
@@ -30,7 +30,7 @@ class Flown:
 
     def with_gyro_bias(self, bias: NDArray[np.float64]) -> list[tuple[StereoFeatures, ImuIncrement | None]]:
         """Return the frames with increments of readings that contain a further bias, to first order."""
-        return [(features, step and _biased(step, np.asarray(bias))) for features, step in self.frames]
+        return [(features, step and shifted(step, -step.bias_jacobian[:, :3] @ bias)) for features, step in self.frames]
 
     def tracking_stage(self, sigma_px: float) -> SlamStage:
         """Return a stage that has rig and start state, for points with tracks of that noise."""
@@ -48,16 +48,6 @@ class Flown:
             errors.append(np.linalg.norm(pose.T_map_body.t - truth.T_map_body.t))
             nees.append(position_nees(pose, truth))
         return np.array(errors), np.array(nees)
-
-
-def _biased(step: ImuIncrement, bias: NDArray[np.float64]) -> ImuIncrement:
-    shift = step.bias_jacobian[:, :3] @ -bias
-    return dataclasses.replace(
-        step,
-        delta_R=step.delta_R @ so3_exp(shift[:3]),
-        delta_v=step.delta_v + shift[3:6],
-        delta_p=step.delta_p + shift[6:9],
-    )
 
 
 def _tracked(vehicle: SimulatedVehicle, sigma_px: float) -> list[StereoFeatures]:
