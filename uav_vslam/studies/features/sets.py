@@ -11,7 +11,7 @@ from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.rig import kagaru_rig
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
-from uav_vslam.studies.features.correspondence import pixels_of, shown_points
+from uav_vslam.studies.engine.extracted_flights import ground_points, shown_at
 from uav_vslam.vision.images import shrink
 
 Pixels = NDArray[np.floating]
@@ -111,8 +111,8 @@ def flown(vehicle: SimulatedVehicle, scenario: Scenario) -> Truth:
     poses = [vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left for t in vehicle.frame_times_s]
 
     def truth(first: View, second: View, pixels: Pixels) -> Pixels:
-        points_world = shown_points(pixels, camera, poses[first.number], relief)
-        return pixels_of(points_world, camera, poses[second.number])
+        points_world = ground_points(relief, poses[first.number], camera, camera.undistort(pixels))
+        return camera.distort(shown_at(poses[second.number], camera, points_world))
 
     return truth
 

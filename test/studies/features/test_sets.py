@@ -8,7 +8,10 @@ import pytest
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
-from uav_vslam.studies.features.correspondence import pixels_of, shown_points
+from uav_vslam.studies.engine.extracted_flights import ground_points
+from uav_vslam.studies.features.sets import View, flown
+
+FIRST, SECOND = (View("flight", "rendered", number, str(number), np.zeros((1, 1))) for number in range(2))
 
 
 @pytest.fixture(scope="module")
@@ -24,15 +27,13 @@ def pixels() -> np.ndarray:
 def test_points_are_on_the_ground_and_project_back(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
     relief, camera = ground_of(vehicle.scenario).relief, vehicle.rig.left
     T_world_cam = vehicle.truth.pose(0.0) @ vehicle.rig.T_body_left
-    points = shown_points(pixels, camera, T_world_cam, relief)
+    points = ground_points(relief, T_world_cam, camera, camera.undistort(pixels))
     np.testing.assert_allclose(points[:, 2], relief.height(points[:, 0], points[:, 1]), atol=2e-3)
-    np.testing.assert_allclose(pixels_of(points, camera, T_world_cam), pixels, atol=1e-6)
+    np.testing.assert_allclose(flown(vehicle, vehicle.scenario)(FIRST, FIRST, pixels), pixels, atol=1e-6)
 
 
 def test_corresponding_pixels_of_rendered_images_correlate(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
-    relief, camera, flight = ground_of(vehicle.scenario).relief, vehicle.rig.left, RenderedFlight(vehicle)
-    poses = [vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left for t in vehicle.frame_times_s]
-    there = pixels_of(shown_points(pixels, camera, poses[0], relief), camera, poses[1])
+    flight, there = RenderedFlight(vehicle), flown(vehicle, vehicle.scenario)(FIRST, SECOND, pixels)
     assert np.linalg.norm(there - pixels, axis=1).min() > 5
 
     def grey(frame: int, at: np.ndarray) -> np.ndarray:
@@ -44,6 +45,4 @@ def test_corresponding_pixels_of_rendered_images_correlate(vehicle: SimulatedVeh
 
 
 def test_no_pixels_have_no_points(vehicle: SimulatedVehicle) -> None:
-    relief, camera = ground_of(vehicle.scenario).relief, vehicle.rig.left
-    points = shown_points(np.zeros((0, 2)), camera, vehicle.truth.pose(0.0) @ vehicle.rig.T_body_left, relief)
-    assert points.shape == (0, 3)
+    assert flown(vehicle, vehicle.scenario)(FIRST, SECOND, np.zeros((0, 2))).shape == (0, 2)
