@@ -2,7 +2,7 @@
 """The filters against each other at landmark level: are they consistent, and the tables of section 4.7 of [thesis]."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -134,7 +134,7 @@ def optimum(flight: Flight) -> Track:
 def consistency_rows(runs: Sequence[Run]) -> list[Row]:
     """Return a row per candidate, the end error beside the batch optimum's."""
     rows: list[Row] = []
-    for name in _unique(run.name for run in runs):
+    for name in dict.fromkeys(run.name for run in runs):
         found = [run for run in runs if run.name == name]
         rows.append({TABLE: CONSISTENCY, "method": name, "condition": found[0].condition, **pooled(found)})
     best = next((row["end_rms_m"] for row in rows if row["method"] == BATCH), None)
@@ -143,7 +143,7 @@ def consistency_rows(runs: Sequence[Run]) -> list[Row]:
 
 def noise_rows(runs: Sequence[Run], extractor: str = "SIFT") -> list[Row]:
     """Return the thesis's table for an extractor and, beside it, errors and consistency of the same runs."""
-    names = [name for name in _unique(run.name for run in runs) if name != INS]
+    names = [name for name in dict.fromkeys(run.name for run in runs) if name != INS]
     cells = {
         (name, scale): [r for r in runs if (r.name, r.condition) == (name, scale)] for name in names for scale in SCALES
     }
@@ -181,7 +181,3 @@ def _rates(runs: Sequence[Run]) -> dict[str, float]:
         return {}
     shown = {"R1": each[0], "R2": each[(len(each) - 1) // 2], "R3": each[-1]}
     return {**shown, "Ave": float(np.mean(list(shown.values()))), "all": together}
-
-
-def _unique(names: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(names))
