@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from increment_error import shifted
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from position_nees import position_nees
 
 from uav_vslam.config import BackendConfig, VehicleConfig
@@ -28,7 +28,7 @@ class Flown:
     vehicle: SimulatedVehicle
     frames: tuple[tuple[StereoFeatures, ImuIncrement | None], ...]
 
-    def with_gyro_bias(self, bias: NDArray[np.float64]) -> list[tuple[StereoFeatures, ImuIncrement | None]]:
+    def with_gyro_bias(self, bias: ArrayLike) -> list[tuple[StereoFeatures, ImuIncrement | None]]:
         """Return the frames with increments of readings that contain a further bias, to first order."""
         return [(features, step and shifted(step, -step.bias_jacobian[:, :3] @ bias)) for features, step in self.frames]
 

@@ -19,14 +19,14 @@ from uav_vslam.evaluation.frame_table import write_frames
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.revision import git_revision
 from uav_vslam.evaluation.study import study_markdown
-from uav_vslam.evaluation.summary import build_summary
+from uav_vslam.evaluation.summary import TRACKS, build_summary
 
 Plotter = Callable[[FlightResult, Path], list[Path]]
 StudyPlotter = Callable[[dict[str, Any], Path], list[Path]]
 FolderPlotter = Callable[[Path], Path]
 
 LATEST = "latest"
-ALL_TRACKS = ("truth", "ins", "s_slam", "c_slam", "smoothed")
+ALL_TRACKS = ("truth", *TRACKS)
 WITH_COVARIANCE = ("s_slam", "c_slam", "smoothed")  # for NEES, which TUM has no place for
 
 

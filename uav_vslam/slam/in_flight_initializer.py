@@ -36,7 +36,7 @@ MIN_MATCHES = 6  # of a view with the first frame
 MIN_VIEWS = 2  # later frames that see the first one's points, for velocity and gravity (6 unknowns)
 MAX_VIEWS = 8  # more views in the window add little
 MIN_AGREEING = 0.5  # share of the matches that must fit one motion
-PRIOR_PER_SIGMA = 2.0  # prior sigma of tilt over the window's own, which is mostly the accelerometer's bias
+PRIOR_PER_SIGMA = 2.0  # prior sigma over the window's own: of tilt, mostly the accelerometer's bias, and a found bias
 ANY_GYRO_BIAS = 0.1  # [rad/s] prior sigma of a bias that contradicts the configured one
 MOST_BIAS_CHI2 = float(chdtri(3, 1e-4))  # of a bias that its configured sigma allows; clocks 5 ms apart reach 18
 MAX_BIAS_TURN_RAD = 0.1  # rotation by the gyro bias over the window; increments are corrected to first order only
@@ -71,7 +71,7 @@ class Window:
         pixels: (N, 4) theirs [px].
         views: them in later frames.
         motion: at the first frame.
-        imu: the configured noise, with a spread of the gyro bias that the frames agree with.
+        imu: that it was found with: as configured, or with any gyro bias.
     """
 
     first: StereoFeatures
@@ -159,22 +159,25 @@ class InFlightInitializer:
         gained = sum(float(np.linalg.norm(view.motion.delta_v)) for view in views)
         if unlike := unlike_gravity(gained / sum(view.motion.dt_s for view in views), self._config.imu):
             raise InsufficientEvidence(unlike)
-        imu = self._imu(pixels, views)
-        found = align(self._rig, pixels, views, imu=imu, sigma_px=self._config.backend.sigma_px)
+        found, imu = self._motion(pixels, views)
         self._validate(found, views)
         return Window(first, usable, pixels, views, found, imu)
 
-    def _imu(self, pixels: NDArray[np.float64], views: list[View]) -> ImuConfig:
-        """Return the configured noise; where the frames contradict the spread of the gyro bias, it may be any."""
+    def _motion(self, pixels: NDArray[np.float64], views: list[View]) -> tuple[Alignment, ImuConfig]:
+        """Return the motion, and the noise that it was found with: any gyro bias where that contradicts its spread."""
         imu = self._config.imu
-        anything = dataclasses.replace(imu, gyro_bias_sigma=ANY_GYRO_BIAS)
-        free = align(self._rig, pixels, views, imu=anything, sigma_px=self._config.backend.sigma_px)
-        expected = free.covariance[GYRO_BIAS, GYRO_BIAS] + imu.gyro_bias_sigma**2 * np.eye(3)
-        chi2 = free.gyro_bias @ np.linalg.solve(expected, free.gyro_bias)
-        return anything if chi2 > MOST_BIAS_CHI2 else imu
+        free = dataclasses.replace(imu, gyro_bias_sigma=ANY_GYRO_BIAS)
+        found = align(self._rig, pixels, views, imu=free, sigma_px=self._config.backend.sigma_px)
+        expected = found.covariance[GYRO_BIAS, GYRO_BIAS] + imu.gyro_bias_sigma**2 * np.eye(3)
+        if found.gyro_bias @ np.linalg.solve(expected, found.gyro_bias) > MOST_BIAS_CHI2:
+            return found, free
+        return align(self._rig, pixels, views, imu=imu, sigma_px=self._config.backend.sigma_px), imu
+
+    def _is_bias_expected(self, window: Window) -> bool:
+        return window.imu == self._config.imu
 
     def _warning(self, window: Window) -> str:
-        if window.imu == self._config.imu:
+        if self._is_bias_expected(window):
             return ""
         bias, sigma = float(np.linalg.norm(window.motion.gyro_bias)), self._config.imu.gyro_bias_sigma
         return (
@@ -186,7 +189,7 @@ class InFlightInitializer:
         """Return the state at a window's first frame."""
         imu, found = window.imu, window.motion
         bias_sigma = imu.gyro_bias_sigma
-        if imu != self._config.imu:
+        if not self._is_bias_expected(window):
             bias_sigma = PRIOR_PER_SIGMA * _largest_sigma(found, GYRO_BIAS)
         return levelled(
             window.first.stamp_ns,
