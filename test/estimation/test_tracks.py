@@ -60,10 +60,11 @@ def test_points_are_found_where_they_are(course) -> None:
     np.testing.assert_allclose(found.residual, 0.0, atol=1e-6)
 
 
-def test_jacobians_are_the_numerical_ones(course) -> None:
+@pytest.mark.parametrize("detected", [False, True])
+def test_jacobians_are_the_numerical_ones(course, detected: bool) -> None:
     """Move each past pose and each rig error, and fit the points again: the change of the misfit is -H."""
     tracks = seen_tracks(course, np.random.default_rng(1))
-    tracks = dataclasses.replace(tracks, pixels=np.nan_to_num(tracks.pixels))
+    tracks = dataclasses.replace(tracks, pixels=np.nan_to_num(tracks.pixels), detected=detected)
     at = observed(course, tracks)
     projected = at.H - at.Q @ at.of_points
     errors = RigErrors(course.rig, RIG, 15)
@@ -123,6 +124,16 @@ def test_noise_of_a_track_is_white_after_whitening(course) -> None:
     chi2, freedom = np.sum(misfit(seen) ** 2, axis=1), 4 * VIEWS - 3
     assert seen.of_poses().norm2 == pytest.approx(chi2.sum())
     assert seen.of_poses().dof == freedom * count
+    assert abs(chi2.mean() / freedom - 1.0) < 4.0 * np.sqrt(2.0 / freedom / count)
+    assert abs(chi2.var() / (2 * freedom) - 1.0) < 0.15
+
+
+def test_noise_of_detected_points_is_white_and_the_same_in_both_cameras(course) -> None:
+    count, rng = 4000, np.random.default_rng(3)
+    pixels = np.repeat(seen_tracks(course).pixels[5:6], count, axis=0)
+    noisy = pixels + rng.normal(0.0, SIGMA_PX, pixels.shape)
+    seen = observed(course, Tracks(noisy, np.ones((count, VIEWS), bool), detected=True))
+    chi2, freedom = np.sum(misfit(seen) ** 2, axis=1), 4 * VIEWS - 3
     assert abs(chi2.mean() / freedom - 1.0) < 4.0 * np.sqrt(2.0 / freedom / count)
     assert abs(chi2.var() / (2 * freedom) - 1.0) < 0.15
 
@@ -268,6 +279,53 @@ def test_tracks_that_move_the_estimate_far_are_linearised_where_they_lead(course
     assert np.linalg.norm(moved.t - truly.t) < 0.01  # the prediction was 1.7 m off
     seen_from = other.nav.T_map_body.inverse().apply(other.landmarks)
     np.testing.assert_allclose(seen_from, last.inverse().apply(course.landmarks[3:]), atol=0.1)  # 1 sigma: 0.4 m
+
+
+@pytest.mark.parametrize("name", ["eif", "ekf", "ukf"])
+def test_points_that_become_landmarks_in_an_update_say_what_they_say_as_landmarks_from_the_start(course, name) -> None:
+    """As long as a depth is known well enough to be linearised: both views of eight points, four other landmarks."""
+    few, rng = np.arange(8), np.random.default_rng(8)
+    views = np.stack([course.pixels(0, few), course.pixels(1, few)], axis=1) + rng.normal(0.0, 0.01, (8, 2, 4))
+    others = [course.pixels(frame, np.arange(8, 12)) + rng.normal(0.0, 0.01, (4, 4)) for frame in (0, 1)]
+    outcomes = []
+    for again in (False, True):
+        f = course.filter(name=name, sigma_px=0.01)
+        f.keep_pose()
+        f.add_landmarks(others[0] if again else np.vstack([others[0], views[:, 0]]))
+        f.predict(course.increments[0])
+        f.keep_pose()
+        rows, at = np.arange(4), f.nav.T_map_body
+        if again:
+            points = Tracks(views, np.ones((8, 2), bool), detected=True)
+            passed = f.update_with_points(points, rows, others[1], at=at, weights=np.ones(4), probability=1.0 - 1e-9)
+            assert passed.all()
+        else:
+            f.update(
+                np.arange(12),
+                np.vstack([others[1], views[:, 1]]),
+            )
+        outcomes.append(f)
+    first, other = outcomes
+    sigma = np.sqrt(np.diag(first.covariance()))
+    np.testing.assert_allclose(other.nav.T_map_body.t, first.nav.T_map_body.t, atol=0.1 * sigma[:3].min())
+    np.testing.assert_allclose(other.landmarks, first.landmarks, atol=0.2 * sigma[-24:].min())
+    error = (other.covariance() - first.covariance()) / np.outer(sigma, sigma)
+    np.testing.assert_allclose(error, 0.0, atol=0.02)
+
+
+def test_points_whose_views_do_not_fit_are_not_used(course) -> None:
+    views = np.stack([course.pixels(frame, np.arange(10)) for frame in (0, 1)], axis=1)
+    views[3, 1] += [30.0, 30.0, -30.0, 30.0]
+    f = course.filter()
+    f.keep_pose()
+    f.predict(course.increments[0])
+    f.keep_pose()
+    points = Tracks(views, np.ones((10, 2), bool), detected=True)
+    passed = f.update_with_points(
+        points, NO_ROWS, np.zeros((0, 4)), at=f.nav.T_map_body, weights=np.ones(0), probability=0.9999
+    )
+    np.testing.assert_array_equal(passed, np.arange(10) != 3)
+    assert len(f.landmarks) == 9
 
 
 def test_tracks_that_fit_the_prediction_are_linearised_there(course) -> None:

@@ -24,14 +24,12 @@ def sigma_px(of: Filter) -> float:
     return float(np.sqrt(of.belief.covariance(np.zeros(0, np.int64))[row, row].item()))
 
 
-def started(flight, tilt_rad: float = 0.001, *, tracks: bool = True) -> tuple[Filter, NavEstimate]:
+def started(flight, tilt_rad: float = 0.001) -> tuple[Filter, NavEstimate]:
     covariance = flight.vehicle.initial.covariance.copy()
     covariance[6:8, 6:8] = tilt_rad**2 * np.eye(2)
     initial = dataclasses.replace(flight.vehicle.initial, covariance=covariance)
     config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, rig=RIG)
     f = make_filter(initial, rig=flight.vehicle.rig, config=config)
-    if tracks:
-        f.keep_pose()
     return f, initial
 
 
@@ -42,18 +40,18 @@ def nothing_known(flight, nav: NavEstimate) -> ImuIncrement:
 
 def test_until_then_the_filter_expects_a_wrong_one_but_reports_by_a_right_one(flown) -> None:
     judge, (f, nav) = DisparityJudge(), started(flown(1))
-    judge.after_update(f, nav)
+    judge.after_update(f, nav, by_tracks=True)
     assert sigma_px(f) == pytest.approx(RIG.miscalibrated_sigma_px)
     assert sigma_px(judge.trusting(f)) == pytest.approx(RIG.disparity_sigma_px)
     later = dataclasses.replace(nav, state=dataclasses.replace(nav.state, stamp_ns=nav.state.stamp_ns + 4 * NS_PER_S))
-    judge.after_update(f, later)
+    judge.after_update(f, later, by_tracks=True)
     assert sigma_px(f) == pytest.approx(RIG.disparity_sigma_px)
     assert judge.trusting(f) is f
 
 
 def test_without_tracks_a_calibration_is_trusted_until_it_is_judged(flown) -> None:
-    judge, (f, nav) = DisparityJudge(), started(flown(1), tracks=False)
-    judge.after_update(f, nav)
+    judge, (f, nav) = DisparityJudge(), started(flown(1))
+    judge.after_update(f, nav, by_tracks=False)
     assert sigma_px(f) == pytest.approx(RIG.disparity_sigma_px)
 
 
@@ -61,7 +59,7 @@ def test_without_tracks_a_calibration_is_trusted_until_it_is_judged(flown) -> No
 def test_what_is_not_judged_when_readings_are_missing_is_trusted(flown, level: bool) -> None:
     flight = flown(1)
     judge, (f, nav) = DisparityJudge(), started(flight, 0.5 * LEVEL_RAD if level else 2.0 * LEVEL_RAD)
-    judge.after_update(f, nav)
+    judge.after_update(f, nav, by_tracks=True)
     judge.before_prediction(f, flight.frames[1][1])
     assert sigma_px(f) == pytest.approx(RIG.miscalibrated_sigma_px if level else RIG.disparity_sigma_px)
     judge.before_prediction(f, nothing_known(flight, nav))

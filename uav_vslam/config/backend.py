@@ -83,7 +83,11 @@ class BackendConfig(Settings):
     redetection_px: float = setting(
         0.0, "standard deviation between two detections of one place, long apart", unit="px", at_least=0
     )
-    min_revisited: int = setting(2, "long-unseen landmarks with wide gates are used only if so many agree", at_least=1)
+    min_revisited: int = setting(
+        2,
+        "long-unseen landmarks with wide gates are used only if so many agree; in look-alike places two do by chance",
+        at_least=1,
+    )
     pnp_beyond_px: float = setting(
         8.0,
         "PnP checks the matches when the median predicted 1-sigma is wider than this; 0: always",

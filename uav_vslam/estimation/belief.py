@@ -9,6 +9,7 @@ Symbols: `P` covariance, `Y = P^-1`, `F, Q` process, `H` observation Jacobian, `
 whitened (unit noise covariance), so `S = H P H^T + I`.
 """
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -69,6 +70,12 @@ class VehicleObservation:
     i: Array
     norm2: float
     dof: int
+
+    def about(self, delta: Array) -> "VehicleObservation":
+        """Return the same about e_vehicle + delta, for an error of a mean that is by delta (vehicle,) elsewhere."""
+        added = self.Y @ delta
+        norm2 = self.norm2 + float(delta @ (2.0 * self.i + added))
+        return dataclasses.replace(self, i=self.i + added, norm2=norm2)
 
     def rows(self) -> tuple[Array, Array, float]:
         """Return H (K, vehicle) and nu (K,) with the same Y and i in as few rows as possible, and norm2 - nu^T nu."""

@@ -253,15 +253,14 @@ class Filter:
             linearised, self._of_tracks = relinearised(
                 first, passed, P, lambda delta: self._linearised_tracks_at(tracks, delta)
             )
-            points, H, R = linearised.of_points(passed & become_landmarks)
-            self.belief = self.belief.appended(H, R)
-            self._set_mean(landmarks=np.vstack([self.landmarks, points]))
+            self._append_points(linearised, passed & become_landmarks)
         return passed
 
     def _linearised_tracks(self, tracks: Tracks, mean: Mean) -> LinearisedTracks:
         """Linearise tracks at a mean."""
         past, rig = mean.past.at_exposure(mean.rig.time_offset_s), self._rig_with(mean.rig)
-        seen = observe_tracks(tracks, past, rig=rig, errors=self._errors, sigma_px=self.track_sigma_px)
+        sigma_px = self.sigma_px if tracks.detected else self.track_sigma_px
+        seen = observe_tracks(tracks, past, rig=rig, errors=self._errors, sigma_px=sigma_px)
         return LinearisedTracks(seen, np.r_[self._errors.rows, self._chart.past(mean)], self.vehicle)
 
     def _linearised_tracks_at(self, tracks: Tracks, delta: Array) -> LinearisedTracks:
@@ -359,7 +358,7 @@ class Filter:
             if accepted:
                 self._of_tracks = None
                 self._apply(found)
-        return Innovation(found.update.nis, dof, accepted, found.downweighted)
+        return Innovation(found.update.nis, dof, accepted, found.outliers)
 
     def _correction(self, landmarks: Indices, pixels: Array, weights: Array, at: Pose | None) -> Correction:
         """Return an update that is not applied, linearised at a pose; None for the mean."""
@@ -368,8 +367,8 @@ class Filter:
             prior, predicted = self._linearised(landmarks, at)
             nu = pixels - predicted.expected
             observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
-            update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
-            return Correction(self.mean, prior + update.delta, update, downweighted, observation, predicted.R, weights)
+            update, outliers = self._updated(predicted, nu - observation.apply(prior), weights)
+            return Correction(self.mean, prior + update.delta, update, outliers, observation, predicted.R, weights)
         finally:
             self.mean, self.belief = before
 
@@ -409,6 +408,42 @@ class Filter:
         self._of_tracks = None  # linearised elsewhere, at a pose known to be far off
         prior = self._move_linearisation(at)
         return prior, self._predicted(landmarks, self._belief_for_regression(landmarks))
+
+    def update_with_points(
+        self, points: Tracks, landmarks: Indices, pixels: Array, *, at: Pose, weights: Array, probability: float
+    ) -> Mask:
+        """Update with landmarks and with points that are landmarks from here on, all linearised at a pose.
+
+        Args:
+            points: T tracks, whose pixels at the past poses include the present one's.
+            landmarks, pixels, weights: see `update`.
+            at: T_map_body.
+            probability: of the chi-square gate of each point's views.
+
+        Returns:
+            (T,) which have passed: these are appended to the landmarks, the others are not used.
+        """
+        with _stamped(self.nav.stamp_ns):
+            prior = self._move_linearisation(at)
+            tracks = self._linearised_tracks(points, self.mean)
+            P = submatrix(self.belief.covariance(NO_ROWS), tracks.rows)
+            passed, _ = tracks.seen.gated(P, probability, mean=prior[tracks.rows])
+            self._of_tracks = tracks.of_vehicle(passed).about(-prior[: self.vehicle])
+            predicted = self._predicted(landmarks, self._belief_for_regression(landmarks))
+            observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, pixels - predicted.expected)
+            update, _ = self._updated(predicted, observation.nu - observation.apply(prior), weights)
+            self._of_tracks = None
+            self.correct(update.belief, prior + update.delta)
+            there = self._linearised_tracks(points, self.mean)
+            passed &= there.seen.good
+            self._append_points(there, passed)
+        return passed
+
+    def _append_points(self, tracks: LinearisedTracks, which: Mask) -> None:
+        """Append the points of some tracks to the landmarks."""
+        points, H, R = tracks.of_points(which)
+        self.belief = self.belief.appended(H, R)
+        self._set_mean(landmarks=np.vstack([self.landmarks, points]))
 
     def add_landmarks(self, pixels: Array) -> Mask:
         """Append landmarks at their triangulated positions; see `can_add_landmarks`.
@@ -553,15 +588,15 @@ class Filter:
             past_rows=POSE_DIM * len(self.past),
         )
 
-    def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> tuple[Update, int]:
-        """Update, and once more with Huber's weights if there are large posterior residuals; return their number."""
+    def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> tuple[Update, Indices]:
+        """Update, and once more with Huber's weights if there are large posterior residuals; return their rows."""
         observation = whitened(predicted, nu, weights, of_vehicle=self._of_tracks)
         update = self.belief.updated(observation)
         huber = huber_weights(observation, update.delta) if self._robust else np.ones(len(nu))
         if not (huber < 1.0).any():
-            return update, 0
+            return update, NO_ROWS
         observation = whitened(predicted, nu, huber * weights, of_vehicle=self._of_tracks)
-        return self.belief.updated(observation), int((huber < 1.0).sum())
+        return self.belief.updated(observation), np.flatnonzero(huber < 1.0)
 
     def _with_rig_prior(self, P_nav: Array) -> Array:
         nav_dim = self._model.nav_dim
@@ -573,7 +608,7 @@ class Filter:
     def _move_linearisation(self, T_map_body: Pose) -> Array:
         """Move the linearisation point and return the prior mean as an error from it."""
         prior = self.mean
-        self._set_mean(nav=dataclasses.replace(self.nav, T_map_body=T_map_body))
+        self.mean = prior.at(T_map_body)
         self.belief = self._chart.transported(self.belief, prior, self.mean)
         return self._chart.local(self.mean, prior)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.belief import Observation, Update
+from uav_vslam.estimation.belief import Indices, Observation, Update
 from uav_vslam.estimation.mean import Mean
 from uav_vslam.estimation.weighted_update import huber_loss
 from uav_vslam.geometry.pose import Pose
@@ -28,7 +28,7 @@ class Correction:
         mean: that it is linearised at.
         delta: (vehicle + 3N,) correction of that mean.
         update: of the belief about it.
-        downweighted: number of landmarks down-weighted by the robust kernel.
+        outliers: rows of the observations that the robust kernel has down-weighted.
         observation: of M landmarks, not whitened, about that mean.
         R: (M, 4, 4) its noise [px^2].
         weights: (M,) divide that.
@@ -37,7 +37,7 @@ class Correction:
     mean: Mean
     delta: Array
     update: Update
-    downweighted: int
+    outliers: Indices
     observation: Observation
     R: Array
     weights: Array

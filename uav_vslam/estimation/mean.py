@@ -16,8 +16,8 @@ from uav_vslam.estimation.belief import Belief, Indices
 from uav_vslam.estimation.models import StateModel, chart_transport, difference
 from uav_vslam.estimation.past_poses import PastPoses
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
-from uav_vslam.geometry.pose import POSE_DIM
-from uav_vslam.geometry.rotation import skew
+from uav_vslam.geometry.pose import POSE_DIM, Pose
+from uav_vslam.geometry.rotation import skew, so3_log
 from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.types import NavState
 
@@ -49,6 +49,11 @@ class Mean:
     def points(self) -> Array:
         """(V + N, 3) the past positions, then the landmarks."""
         return np.vstack([self.past.t, self.landmarks])
+
+    def at(self, T_map_body: Pose) -> Self:
+        """Return this mean with the vehicle at another pose."""
+        nav = dataclasses.replace(self.nav, T_map_body=T_map_body)
+        return dataclasses.replace(self, nav=nav, past=self.past.ending_at(nav))
 
     def without_landmarks(self) -> Self:
         """Return the mean of the vehicle alone."""
@@ -87,16 +92,17 @@ class Chart:
         return Mean(
             nav,
             self.errors.retract(mean.rig, delta),
-            mean.past.moved(past[:, 1], points[: len(past)]),
+            mean.past.moved(past[:, 1], points[: len(past)]).ending_at(nav),
             points[len(past) :],
         )
 
-    def local(self, mean: Mean, pose_of: Mean) -> Array:
-        """Return the error (vehicle + 3N,) of a mean that moves its pose to another's, its points staying in place."""
-        nav_dim, count, points = self.model.nav_dim, len(mean.past), mean.points
-        offset = difference(mean.nav, points, pose_of.nav, points)
+    def local(self, mean: Mean, other: Mean) -> Array:
+        """Return the error (vehicle + 3N,) of a mean that moves its poses to another's; its landmarks stay in place."""
+        nav_dim, count, points = self.model.nav_dim, len(mean.past), np.vstack([other.past.t, mean.landmarks])
+        offset = difference(mean.nav, mean.points, other.nav, points)
         past = np.zeros((count, 2, 3))
         past[:, 0] = offset[nav_dim : nav_dim + 3 * count].reshape(-1, 3)
+        past[:, 1] = so3_log(other.past.R @ np.swapaxes(mean.past.R, 1, 2))
         return np.concatenate(
             [offset[:nav_dim], np.zeros(self.errors.dim), past.ravel(), offset[nav_dim + 3 * count :]]
         )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import RigConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.belief import Update, landmark_rows
+from uav_vslam.estimation.belief import NO_ROWS, Indices, Update, landmark_rows
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.linearisation import PredictedObservation
@@ -63,7 +63,9 @@ class ThesisUnscentedFilter(Filter):
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
         self.belief = CovarianceBelief(definite(symmetrise(P)), self.vehicle)
 
-    def _updated(self, predicted: PredictedObservation, nu: Array, observation_weights: Array) -> tuple[Update, int]:
+    def _updated(
+        self, predicted: PredictedObservation, nu: Array, observation_weights: Array
+    ) -> tuple[Update, Indices]:
         chi, mean_weights, weights = self._sigma_points()
         P = self.covariance()
         seen = self._project(chi, predicted) / self.sigma_px
@@ -78,7 +80,7 @@ class ThesisUnscentedFilter(Filter):
             after = bounded(after, self._gamma)
         nis = float(innovation @ np.linalg.solve(S, innovation))
         belief = CovarianceBelief(definite(after), self.vehicle)
-        return Update(belief, K @ innovation, nis), 0
+        return Update(belief, K @ innovation, nis), NO_ROWS
 
     def _sigma_points(self) -> tuple[Array, Array, Array]:
         """Return chi (2n+1, n) and the weights of mean and covariance; Eq. (4.3.2)."""

@@ -68,9 +68,8 @@ class LinearisedTracks:
         Y[self.rows[:, None], self.rows], i[self.rows] = said.Y, said.i
         if self.move is None:
             return dataclasses.replace(said, Y=Y, i=i)
-        T, delta = self.move.T, self.move.delta
-        Y, i = T.T @ Y @ T, T.T @ i
-        return dataclasses.replace(said, Y=Y, i=i + Y @ delta, norm2=said.norm2 + float(delta @ (2.0 * i + Y @ delta)))
+        T = self.move.T
+        return dataclasses.replace(said, Y=T.T @ Y @ T, i=T.T @ i).about(self.move.delta)
 
     def of_points(self, tracks: Mask) -> tuple[Array, Array, Array]:
         """Return the points (K, 3) of some tracks, and what `Belief.appended` takes: (K, 3, vehicle) and (K, 3, 3)."""

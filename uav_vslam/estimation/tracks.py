@@ -13,6 +13,8 @@ Noise of a track: the tracked patch slides slowly over the ground (a random walk
 cameras share), the left pixel scatters about it, the right one about the left one, and by a constant from camera to
 camera. Taken for white, these errors let long tracks count for far more than they know.
 
+Points that are detected anew in each image, not tracked, have white errors, the same in both cameras.
+
 A track that fills the window is used, and goes on. Its constant is the same in each use: with k times the standard
 deviation in the k-th, all of them together count for little more than the first, as while a vehicle stands.
 """
@@ -51,11 +53,13 @@ class Tracks:
         pixels: (T, V, 4) undistorted pixels; anything where not seen.
         seen: (T, V).
         earlier: how often each of the T tracks, or all, has been used before, by views that are not among these.
+        detected: in each image anew.
     """
 
     pixels: Array
     seen: Mask
     earlier: NDArray[np.intp] | int = 0
+    detected: bool = False
 
     def __len__(self) -> int:
         return len(self.seen)
@@ -156,7 +160,8 @@ def observe_tracks(
         past: V of them, at the exposures.
         rig: with its estimated errors.
         errors: layout of the rig's error states.
-        sigma_px: standard deviation of a right pixel about the left one [px].
+        sigma_px: standard deviation of a right pixel about the left one, or of each pixel coordinate if the points are
+            detected anew [px].
     """
     views = _Views(tracks, past, rig, sigma_px)
     points = views.first_points()
@@ -225,14 +230,19 @@ class _Views:
         """Return (T, 4V, k) with unit noise for (T, V, 4, k)."""
         T, V, _, k = rows.shape
         left = self._left_whitening @ rows[:, :, :2].reshape(T, V, 2 * k)
-        right = self._right_whitening @ (rows[:, :, 2:] - rows[:, :, :2]).reshape(T, V, 2 * k)
+        right = self._right_whitening @ self._right(rows).reshape(T, V, 2 * k)
         return np.concatenate([left.reshape(T, 2 * V, k), right.reshape(T, 2 * V, k)], axis=1)
+
+    def _right(self, rows: Array) -> Array:
+        """Return of (A, B, 4, ...) rows those of the right pixel, whose errors are independent of the left one's."""
+        right = rows[:, :, 2:]
+        return right if self._tracks.detected else right - rows[:, :, :2]
 
     def whiten_blocks(self, blocks: Array, out: Array) -> None:
         """Put (T, V, 4, k), where each view depends on k columns of its own, into (T, 4V, kV) with unit noise."""
         T, V, _, k = blocks.shape
         by_view = blocks.transpose(0, 2, 1, 3)[:, None]
-        left, right = by_view[:, :, :2], by_view[:, :, 2:] - by_view[:, :, :2]
+        left, right = by_view[:, :, :2], self._right(by_view)
         H = out.reshape(T, 2, V, 2, V, k, copy=False)
         np.multiply(self._left_whitening[:, :, None, :, None], left, out=H[:, 0])
         np.multiply(self._right_whitening[:, :, None, :, None], right, out=H[:, 1])
@@ -241,8 +251,11 @@ class _Views:
 def _whitening(tracks: Tracks, sigma_px: float) -> tuple[Array, Array]:
     """Return (T, V, V) inverse factors of the covariance of the left pixels and of the right pixels minus them.
 
-    They are zero where not seen.
+    They are zero where not seen. Of detected points, the second is that of the right pixels alone.
     """
+    if tracks.detected:
+        white = tracks.seen[:, None, :] * np.eye(tracks.seen.shape[1]) / sigma_px
+        return white, white
     V, way_px = tracks.seen.shape[1], tracks.way_px
     earlier = np.broadcast_to(tracks.earlier, len(tracks))
     patterns = tracks.seen @ (1 << np.arange(V)) + (earlier << V)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Weighted stereo observations, and the consistency of an update with the prediction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from uav_vslam.estimation.belief import Observation, VehicleObservation
+from uav_vslam.estimation.belief import NO_ROWS, Indices, Observation, VehicleObservation
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.geometry.stereo import STEREO_DOF
 
@@ -25,13 +25,18 @@ class Innovation:
         nis: nu^T S^-1 nu, chi-square with `dof` degrees of freedom.
         dof: number of pixel coordinates.
         accepted: whether the update was applied.
-        downweighted: number of landmarks down-weighted by the robust kernel.
+        outliers: rows of the observations that the robust kernel has down-weighted.
     """
 
     nis: float
     dof: int
     accepted: bool = True
-    downweighted: int = 0
+    outliers: Indices = field(default_factory=NO_ROWS.copy)
+
+    @property
+    def downweighted(self) -> int:
+        """Number of observations down-weighted."""
+        return len(self.outliers)
 
 
 def whitened(

@@ -192,7 +192,7 @@ class SlamBackend:
             outcome.matches, outcome.innovation, outcome.closures = self._local_map.correct(
                 features, self._frame, by_landmarks=not is_seen
             )
-            self._disparity_judge.after_update(self._filter, self._nav)
+            self._disparity_judge.after_update(self._filter, self._nav, by_tracks=self._window.has_frames)
             self._take_present(outcome, features)
             self._local_map.remove_surplus(self._frame)
             outcome.rig_evidence = self._filter.rig_evidence()

@@ -39,12 +39,13 @@ class DisparityJudge:
             _trust(slam_filter)
         self._has_ended = True
 
-    def after_update(self, slam_filter: Filter, nav: NavEstimate) -> None:
+    def after_update(self, slam_filter: Filter, nav: NavEstimate, *, by_tracks: bool) -> None:
         """Judge, if it is time; what the motion said before the tilt was known is forgotten.
 
         Args:
             slam_filter: updated.
             nav: the last estimate.
+            by_tracks: besides landmarks.
         """
         if self._has_ended:
             return
@@ -52,7 +53,7 @@ class DisparityJudge:
             if np.diagonal(nav.covariance)[ROTATION][:2].max() > LEVEL_RAD**2:
                 slam_filter.forget_disparity()
                 return
-            if len(slam_filter.past):
+            if by_tracks:
                 slam_filter.expect_disparity(slam_filter.disparity_prior.unjudged_variance)
             self._level_ns = nav.state.stamp_ns
         if (nav.state.stamp_ns - self._level_ns) / NS_PER_S > JUDGED_AFTER_S:

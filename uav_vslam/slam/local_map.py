@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The landmarks in a filter's state, frame by frame: they correct it, new ones are added, and some leave it again."""
 
+import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
 from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
 from uav_vslam.slam.matches import Matches
+from uav_vslam.slam.second_views import SecondViews
 from uav_vslam.slam.track_window import TrackWindow
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
@@ -37,6 +40,7 @@ class LocalMap:
     ) -> None:
         self._map, self._matcher, self._config = landmarks, matcher, config
         self._filter, self._window = slam_filter, window
+        self._second_views = SecondViews(slam_filter, landmarks)
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
 
     def configure(self, config: BackendConfig) -> None:
@@ -65,6 +69,7 @@ class LocalMap:
             innovation = self._filter.update(none.landmarks, none.pixels)
             if not by_landmarks:
                 return none, innovation, 0
+        self._begin(features)
         left_behind = self._map.long_unseen(frame)
         candidates = self._matcher.candidates(
             self._filter, self._map, features, frame, located=self._window.followed >= MIN_INLIERS
@@ -73,20 +78,41 @@ class LocalMap:
             matches = self._of_other_tracks(found, features)
             if len(matches) == 0:
                 continue
-            of_landmarks = self._filter.update(
-                matches.landmarks,
-                matches.pixels,
-                linearise_at=matches.linearise_at,
-                significance=_significance(matches),
-                weights=visit_weights((left_behind | self._map.revisited)[matches.landmarks], self._config),
-            )
+            closures = int(left_behind[matches.landmarks].sum())
+            revisited = (left_behind | self._map.revisited)[matches.landmarks]
+            matches, of_landmarks = self._update(matches, visit_weights(revisited, self._config))
             if of_landmarks.accepted:
-                closures = int(left_behind[matches.landmarks].sum())
                 seen = matches.features
                 self._map.observe(matches.landmarks, features.descriptors[seen], frame, features.tracks[seen])
                 self._window.views.forget_newest(features.tracks[seen])
                 return matches, of_landmarks, closures
         return none, innovation, 0
+
+    def _update(self, matches: Matches, weights: NDArray[np.float64]) -> tuple[Matches, Innovation]:
+        """Update the filter with matches; return those whose landmarks are kept, and the innovation."""
+        second = self._second_views.among(matches) if self._is_alone else np.zeros(len(matches), bool)
+        tried = copy.copy(self._filter) if second.any() else self._filter
+        innovation = tried.update(
+            matches.landmarks,
+            matches.pixels,
+            linearise_at=matches.linearise_at,
+            significance=_significance(matches),
+            weights=weights,
+        )
+        if tried is not self._filter and innovation.accepted:
+            second[innovation.outliers] = False
+            matches = self._second_views.update(matches, second, at=tried.nav.T_map_body, weights=weights)
+        return matches, innovation
+
+    def _begin(self, features: StereoFeatures) -> None:
+        """Begin a frame to which the filter has been predicted."""
+        if self._is_alone:
+            self._second_views.begin(features)
+
+    @property
+    def _is_alone(self) -> bool:
+        """Whether the past poses are those of landmarks, because there are no tracks."""
+        return self._window.keeps_poses and not self._window.has_frames
 
     def remove_surplus(self, frame: int) -> None:
         """Remove landmarks so that the cost of a frame stays bounded, and past poses that have left the window."""
@@ -95,7 +121,7 @@ class LocalMap:
             in_view = self._in_view(self._filter.points_left(), frame)
             view = MapView(self._map, self._filter.landmarks, self._variance, in_view, frame)
             removed = rows_to_remove(view, self._config)
-        past = self._window.drop_oldest(self._filter)
+        past = self._second_views.past_to_drop() if self._is_alone else self._window.drop_oldest()
         if len(removed) or len(past):
             self._filter.marginalise(removed, past)
             self._map.remove(removed)
@@ -105,6 +131,7 @@ class LocalMap:
 
         A filter that needs the angular rate for them adds them by `add_postponed`.
         """
+        self._begin(features)
         added = self._added(features, frame, matched=matches.features)
         self._postponed = None if self._filter.can_add_landmarks else features
         return added
@@ -117,6 +144,7 @@ class LocalMap:
         if self._postponed is None:
             return np.zeros(0, np.intp)
         self._filter.starts(increment)
+        self._begin(self._postponed)
         return self._added(self._postponed, frame, matched=Matches.none().features)
 
     def sightings(self, matches: Matches) -> Rows:
@@ -151,12 +179,13 @@ class LocalMap:
         free = np.setdiff1d(np.arange(len(features)), matched)
         if len(self._window.views):
             free = free[features.tracks[free] == 0]
-        if len(free) == 0 or not self._filter.can_add_landmarks:
-            return np.zeros(0, np.intp)
-        chosen = free[self.new_landmarks(features.pixels[free, :2], frame)]
+        chosen = free[:0]
+        if len(free) and self._filter.can_add_landmarks:
+            chosen = free[self.new_landmarks(features.pixels[free, :2], frame)]
         if len(chosen):
             chosen = chosen[self._filter.add_landmarks(features.pixels[chosen].astype(float))]
             self._map.append(features.descriptors[chosen], frame, features.tracks[chosen])
+        self._second_views.add(self._map.ids[len(self._map) - len(chosen) :], features.pixels[chosen].astype(float))
         return chosen
 
     def _in_view(self, points_left: NDArray[np.float64], frame: int) -> NDArray[np.bool_]:

@@ -32,6 +32,11 @@ class TrackViews:
         return len(self.tracks)
 
     @property
+    def frames(self) -> int:
+        """V."""
+        return self.seen.shape[1]
+
+    @property
     def counts(self) -> Rows:
         """(T,) in how many frames each was seen."""
         return np.asarray(self.seen.sum(axis=1), dtype=np.intp)
@@ -44,7 +49,7 @@ class TrackViews:
     def add_frame(self, features: StereoFeatures) -> None:
         """Append a frame with its tracked points."""
         shown = features.chosen(np.flatnonzero(features.tracks))
-        frames, tracks = self.seen.shape[1], np.union1d(self.tracks, shown.tracks)
+        frames, tracks = self.frames, np.union1d(self.tracks, shown.tracks)
         old, new = np.searchsorted(tracks, self.tracks), np.searchsorted(tracks, shown.tracks)
         pixels, seen = np.zeros((len(tracks), frames + 1, 4)), np.zeros((len(tracks), frames + 1), bool)
         pixels[old, :frames], seen[old, :frames] = self.pixels, self.seen

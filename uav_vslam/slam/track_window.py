@@ -60,9 +60,21 @@ class TrackWindow:
         """Number of tracks that the newest frame continues."""
         return int((self.views.seen[:, -1] & (self.views.counts >= MIN_VIEWS)).sum()) if len(self.views) else 0
 
+    @property
+    def has_frames(self) -> bool:
+        """Whether there have been tracks: past poses of the filter are the frames of their views."""
+        return self.views.frames > 0
+
+    @property
+    def keeps_poses(self) -> bool:
+        """Whether the filter has room for past poses."""
+        return self._size > 0
+
     def add_frame(self, slam_filter: Filter, features: StereoFeatures) -> None:
         """Keep the pose of a frame, to which the filter has been predicted, and the views of its tracked points."""
         if self._size and (len(self.views) or features.tracks.any()):
+            if not self.has_frames:  # the poses of frames without tracks are no frames of the views
+                slam_filter.marginalise(NO_ROWS, np.arange(len(slam_filter.past)))
             self._thin_out(slam_filter)
             slam_filter.keep_pose()
             self.views.add_frame(features)
@@ -83,7 +95,7 @@ class TrackWindow:
         if len(views) == 0:
             return
         finished = ~views.seen[:, -1] | everything
-        if len(slam_filter.past) > self._size:
+        if self._is_full:
             finished |= views.seen[:, 0]
         used = np.flatnonzero(finished & (views.counts >= MIN_VIEWS))
         new = self._chosen(used, landmark_map, choose)
@@ -136,14 +148,18 @@ class TrackWindow:
 
     def leaving(self, slam_filter: Filter) -> PoseEstimate | None:
         """Return the oldest past pose if it is about to leave the full window."""
-        return slam_filter.past_estimate(0) if len(slam_filter.past) > self._size > 0 else None
+        return slam_filter.past_estimate(0) if self._is_full else None
 
-    def drop_oldest(self, slam_filter: Filter) -> NDArray[np.int64]:
+    def drop_oldest(self) -> NDArray[np.int64]:
         """Drop the oldest frame of a full window; return the rows of past poses that the filter need not keep."""
-        if len(slam_filter.past) <= self._size:
+        if not self._is_full:
             return NO_ROWS
         self.views.drop_frame(0)
         return np.zeros(1, np.int64)
+
+    @property
+    def _is_full(self) -> bool:
+        return self.views.frames > self._size
 
     def _thin_out(self, slam_filter: Filter) -> None:
         """Drop the newest past pose if it is too close to the one before."""
