@@ -241,6 +241,7 @@ def test_the_checks_notice_a_wrong_import(tmp_path: Path, monkeypatch, place: st
     ("node", "needless"),
     [
         ("ins_propagator_node", "rosbags scipy"),
+        ("stereo_frontend_node", "rosbags scipy.linalg scipy.spatial"),
         ("slam_backend_node", "rosbags scipy.spatial"),
         ("fusion_node", "rosbags networkx"),
     ],

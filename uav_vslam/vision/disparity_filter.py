@@ -10,7 +10,8 @@ it.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+
+from uav_vslam.vision.nearest_points import nearest_points
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ def supported_disparities(pixels: Array, disparity: Array, *, noise_px: float) -
     needed = min(NEEDED_VOTES, neighbours // 2)
     if needed <= 0:
         return np.ones(count, bool)
-    distance, index = cKDTree(pixels).query(pixels, k=neighbours + 1)
+    distance, index = nearest_points(pixels, pixels, neighbours + 1)
     distance, index = distance[:, 1:], index[:, 1:]
     difference = np.abs(disparity[index] - disparity[:, None])
     gradient = GRADIENT_FACTOR * float(np.median(difference / np.maximum(distance, 1.0)))

@@ -9,12 +9,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.vision.features import Keypoints, detect_chosen, make_extractor
 from uav_vslam.vision.images import shrink, to_full_resolution
+from uav_vslam.vision.nearest_points import nearest_points
 from uav_vslam.vision.tracking.flow import inside
 from uav_vslam.vision.tracking.search_area import search_area, whole
 
@@ -92,6 +92,6 @@ def choose_new(pixels: NDArray[np.float32], tracked: Array, count: int, shape: t
     rows = np.sort(first)
     rows = rows[inside(pixels[rows], shape)]
     if len(tracked):
-        distance, _ = cKDTree(tracked).query(pixels[rows])
-        rows = rows[distance >= MIN_DISTANCE_PX]
+        distance, _ = nearest_points(pixels[rows], tracked, 1)
+        rows = rows[distance[:, 0] >= MIN_DISTANCE_PX]
     return rows[spread(pixels[rows], count, size=(shape[1], shape[0]), taken=tracked)]
