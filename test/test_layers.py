@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "uav_vslam"
 
 # What each part may import, beside itself and `errors`; the EARLY ones may be used by all.
-EARLY = {"types", "config", "geometry", "numerics", "stamps"}
+EARLY = {"types", "config", "geometry", "numerics", "search", "stamps"}
 ESTIMATOR = EARLY | {"ins", "estimation", "vision", "association", "slam", "cooperation"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
@@ -22,6 +22,7 @@ ALLOWED: dict[str, set[str]] = {
     "stamps": {"types"},
     "geometry": set(),
     "numerics": set(),
+    "search": set(),
     "monitor": set(),  # what is heard of a live fleet
     "memory": set(),
     "processes": {"memory"},
@@ -244,6 +245,8 @@ def test_the_checks_notice_a_wrong_import(tmp_path: Path, monkeypatch, place: st
         ("stereo_frontend_node", "rosbags scipy.linalg scipy.spatial"),
         ("slam_backend_node", "rosbags scipy.spatial"),
         ("fusion_node", "rosbags networkx"),
+        ("replay_node", "scipy"),
+        ("mapper_node", "scipy"),
     ],
 )
 def test_a_killed_node_is_back_sooner_without_libraries_that_it_does_not_use(node: str, needless: str) -> None:

@@ -15,7 +15,6 @@ from uav_vslam.numerics import (
     inverse_spd,
     mahalanobis2,
     marginalise_information,
-    nearest,
     solve_spd,
     submatrix,
     symmetrise,
@@ -127,10 +126,3 @@ def test_batched_mahalanobis_distances_equal_the_single_ones(shape: tuple[int, .
     r = np.random.default_rng(1).normal(size=(*shape, 4))
     expected = [x @ solve_spd(A, x, "S") for x, A in zip(r.reshape(-1, 4), S.reshape(-1, 4, 4), strict=True)]
     np.testing.assert_allclose(mahalanobis2(r, S), np.reshape(expected, shape), rtol=RELATIVE)
-
-
-def test_the_nearest_value_is_found_before_between_and_after_all() -> None:
-    others_ns = np.array([10, 20, 40], np.int64)
-    stamps_ns = np.array([41, -5, 14, 15, 16, 20, 31], np.int64)  # 15 is as near to 10 as to 20
-    assert nearest(stamps_ns, others_ns).tolist() == [2, 0, 0, 0, 1, 1, 2]
-    assert nearest(stamps_ns, others_ns[:1]).tolist() == [0] * len(stamps_ns)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Symmetric positive definite linear algebra by Cholesky factors, robust statistics, nearest values."""
+"""Symmetric positive definite linear algebra by Cholesky factors, robust statistics."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,19 +124,6 @@ def marginalise_information(Y: Array, keep: NDArray[np.int64], drop: NDArray[np.
     Y_kept = submatrix(Y, keep)
     subtract_product(Y_kept, W)
     return Y_kept
-
-
-def nearest(values: NDArray[np.number], others: NDArray[np.number]) -> NDArray[np.intp]:
-    """Return the index of the other value nearest to each value, as of stamps; of two as near, that of the smaller.
-
-    Args:
-        values: (N,) in any order.
-        others: (M,) ascending, at least one.
-    """
-    after = np.searchsorted(others, values).clip(0, len(others) - 1)
-    before = (after - 1).clip(0)
-    nearer = np.abs(others[before] - values) <= np.abs(others[after] - values)
-    return np.asarray(np.where(nearer, before, after))
 
 
 def robust_sigma(residuals: Array) -> float:

@@ -71,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.calibration.procedure import calibrate, find_boards
     from uav_vslam.calibration.solve import Lens
     from uav_vslam.calibration.summary import build_summary
-    from uav_vslam.evaluation.output import new_folder, write_json
+    from uav_vslam.evaluation.files.writing import write_json
+    from uav_vslam.evaluation.output import new_folder
     from uav_vslam.evaluation.revision import git_revision
     from uav_vslam.report.calibration_plot import write_calibration_plot
     from uav_vslam.report.calibration_table import print_calibration

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     """Check, print, and return whether the graph can run."""
     import cv2
 
-    from uav_vslam.evaluation.output import write_json
+    from uav_vslam.evaluation.files.writing import write_json
     from uav_vslam.inspection.report import text, tree
 
     cv2.setNumThreads(1)

@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: Datum | None) -> int:
     """Map flights into a new folder, print what was found, and return the number of cells with a height."""
     from uav_vslam.cli.map_picture import write_picture_and_model
-    from uav_vslam.evaluation.output import write_json
+    from uav_vslam.evaluation.files.writing import write_json
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.progress import counted
     from uav_vslam.mapping.surface.grid import HeightGrid

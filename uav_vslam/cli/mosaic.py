@@ -124,7 +124,7 @@ def _chained(folder: Folder, args: argparse.Namespace) -> int:
 
 def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, results: Path) -> dict[str, Any]:
     """Draw the mosaic and write everything; return the figures of quality."""
-    from uav_vslam.evaluation.output import write_json
+    from uav_vslam.evaluation.files.writing import write_json
     from uav_vslam.mapping.pictures import output
     from uav_vslam.mapping.pictures.drawing import PASSES, draw
     from uav_vslam.report.mosaic_plots import draw_ground, frame_of

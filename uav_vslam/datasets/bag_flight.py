@@ -29,7 +29,7 @@ from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.mounting import ImuMounting
-from uav_vslam.numerics import nearest
+from uav_vslam.search import nearest
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 TRIED_IMAGES = 100  # of which one must be readable

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The results folder: `results/<date>_<name>/`, and the link `results/latest` to the newest complete one."""
 
-import json
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from typing import Any
 import yaml
 
 from uav_vslam.errors import UavVslamError
-from uav_vslam.evaluation.files.writing import write_csv, write_tum
+from uav_vslam.evaluation.files.writing import write_csv, write_json, write_tum
 from uav_vslam.evaluation.flight_tables import write_landmarks, write_link, write_timing
 from uav_vslam.evaluation.frame_table import write_frames
 from uav_vslam.evaluation.result import FlightResult
@@ -141,11 +140,6 @@ def _make_unique(root: Path, stem: str) -> Path:
 
 def _file_name(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).strip("._") or "unnamed"
-
-
-def write_json(path: Path, tree: dict[str, Any]) -> None:
-    """Write a tree as JSON, which holds neither NaN nor infinity."""
-    path.write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _write_vehicles(result: FlightResult, folder: Path) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import motion_errors, rms
-from uav_vslam.numerics import nearest
+from uav_vslam.search import nearest
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from uav_vslam.evaluation.alignment import ALIGNMENTS
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import so3_log
-from uav_vslam.numerics import nearest
+from uav_vslam.search import nearest
 
 Array = NDArray[np.float64]
 

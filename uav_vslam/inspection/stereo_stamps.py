@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.stereo_sync import NOTABLE_OFFSET_NS, PairTolerance
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
-from uav_vslam.numerics import nearest
+from uav_vslam.search import nearest
 from uav_vslam.types import NS_PER_S
 
 Stamps = NDArray[np.int64]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
-from uav_vslam.evaluation.output import write_json
+from uav_vslam.evaluation.files.writing import write_json
 from uav_vslam.mapping.orthomosaic.heights import GridHeights
 from uav_vslam.mapping.orthomosaic.in_flight import FlownOrthomosaic
 from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.geodetic import Datum
-from uav_vslam.evaluation.output import write_json
+from uav_vslam.evaluation.files.writing import write_json
 from uav_vslam.mapping.georeference import write_bands
 from uav_vslam.mapping.overlap import Overlap
 from uav_vslam.mapping.summary import map_figures

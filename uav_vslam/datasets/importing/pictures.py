@@ -15,7 +15,7 @@ from uav_vslam.datasets.importing.motion import Motion
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, Table, in_range, numbered_lines
 from uav_vslam.datasets.messages import decodable, decoded
-from uav_vslam.numerics import nearest
+from uav_vslam.search import nearest
 
 COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 MISSING, UNPAIRED = "missing pictures", "pictures without a partner"

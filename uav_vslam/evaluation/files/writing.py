@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes trajectories as TUM, as CSV in EuRoC's order with covariance, and as KITTI."""
+"""Writes trajectories as TUM, as CSV in EuRoC's order with covariance, and as KITTI; figures as JSON."""
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,11 @@ from uav_vslam.evaluation.trajectory import Trajectory
 POSE_TITLES = ("#stamp_ns", "x_m", "y_m", "z_m", "q_w", "q_x", "q_y", "q_z")
 ERROR_PARTS = ("x", "y", "z", "rx", "ry", "rz")  # of a covariance: position, map-frame rotation vector
 COVARIANCE_TITLES = tuple(f"cov_{ERROR_PARTS[i]}_{ERROR_PARTS[j]}" for i, j in zip(*UPPER, strict=True))
+
+
+def write_json(path: Path, tree: dict[str, Any]) -> None:
+    """Write a tree as JSON, which holds neither NaN nor infinity."""
+    path.write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_tum(trajectory: Trajectory, path: Path) -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.output import write_json
+from uav_vslam.evaluation.files.writing import write_json
 from uav_vslam.mapping.georeference import write_bands
 from uav_vslam.mapping.orthomosaic import blended_mosaic
 from uav_vslam.mapping.orthomosaic.output import write_orthomosaic
