@@ -94,6 +94,22 @@ def test_ctrl_c_while_a_node_is_still_importing_ends_it_without_a_traceback(doma
         assert node.returncode == -signal.SIGINT
 
 
+PROGRAM_OF_A_NODE = """
+    import gc, sys
+    from uav_vslam.ros.start import main
+
+    sys.argv[:] = ["recorder", "--ros-args", "--params-file", "/nowhere.yaml"]
+    print(main(), gc.isenabled(), gc.get_freeze_count() > 100 * len(gc.get_objects()))
+"""
+
+
+def test_the_end_of_a_program_does_not_search_its_libraries_for_garbage() -> None:
+    """That took longer than all else of a node's shut-down."""
+    command = [sys.executable, "-c", textwrap.dedent(PROGRAM_OF_A_NODE)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "2 True True\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -105,7 +121,7 @@ def test_ctrl_c_while_a_node_is_still_importing_ends_it_without_a_traceback(doma
     ],
 )
 def test_what_ros_refuses_is_one_line_too(run: Run, arguments: list[str], said: str) -> None:
-    command = [sys.executable, "-m", "uav_vslam.ros.slam_backend_node", "--ros-args", "-r", "__ns:=/uav1", *arguments]
+    command = [*find_executable("slam_backend"), "--ros-args", "-r", "__ns:=/uav1", *arguments]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert done.stderr.startswith("uav_vslam: ")
@@ -122,7 +138,7 @@ def test_what_ros_refuses_is_one_line_too(run: Run, arguments: list[str], said: 
     ],
 )
 def test_a_topic_that_can_not_be_is_one_line(node: str, arguments: list[str], said: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", f"uav_vslam.ros.{node}_node", "--ros-args", "-r", "__ns:=/uav1", *arguments]
+    command = [*find_executable(node), "--ros-args", "-r", "__ns:=/uav1", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("[INFO]")]
@@ -139,7 +155,7 @@ def test_a_topic_that_can_not_be_is_one_line(node: str, arguments: list[str], sa
     ],
 )
 def test_vehicles_that_are_named_twice_are_one_line(node: str, arguments: list[str], said: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", f"uav_vslam.ros.{node}_node", "--ros-args", "-r", "__ns:=/uav1"]
+    command = [*find_executable(node), "--ros-args", "-r", "__ns:=/uav1"]
     for argument in arguments:
         command += ["-p", argument]
     try:
@@ -153,7 +169,7 @@ def test_vehicles_that_are_named_twice_are_one_line(node: str, arguments: list[s
 
 @pytest.mark.parametrize("node", ["slam_backend", "fusion"])
 def test_a_vehicle_whose_name_is_no_namespace_is_one_line_with_the_reason(node: str) -> None:
-    command = [sys.executable, "-m", f"uav_vslam.ros.{node}_node", "--ros-args", "-r", "__ns:=/uav1"]
+    command = [*find_executable(node), "--ros-args", "-r", "__ns:=/uav1"]
     done = subprocess.run([*command, "-p", "vehicle:=a/b"], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "vehicle = 'a/b' is not allowed; use a valid ROS namespace" in done.stderr
