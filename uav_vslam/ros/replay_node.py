@@ -49,6 +49,7 @@ from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 INS_ANSWER = "ins/odometry"
 QOS = {Kind.LEFT: IMAGE, Kind.RIGHT: IMAGE, Kind.IMU: SENSOR}
 STEP_S = 0.005
+LOOK_S = 0.05  # period of looks at the graph: the nodes that it waits for need the processor to start
 ANSWERS_S = 0.1  # real time: period of taking the answers, which nothing waits for
 BURST = 50  # messages published before callbacks run again
 DISCOVERY_S = 15.0  # timeout of the discovery among the nodes
@@ -181,7 +182,7 @@ class ReplayNode(Node):
                 self._fail(f"gave up after {self._config.timeout_s:g} s: {text}; are the vehicle's nodes running?")
             more = f" and {len(missing) - LISTED} more" if len(missing) > LISTED else ""
             self.get_logger().info(f"waiting: {', '.join(missing[:LISTED])}{more}", throttle_duration_sec=REPORT_S)
-            yield False
+            yield from _pause()
         yield from self._await_discovery()
 
     def _await_discovery(self) -> Iterator[bool]:
@@ -191,7 +192,7 @@ class ReplayNode(Node):
             if time.monotonic() > give_up_s:
                 self.get_logger().warning(f"starting before discovery is complete: {', '.join(missing)}")
                 return
-            yield False
+            yield from _pause()
 
     def _missing_endpoints(self) -> list[str]:
         answers = [f"/{vehicle}/{topic}" for vehicle in self._vehicles for topic in self._wait_for]
@@ -243,6 +244,13 @@ class ReplayNode(Node):
     def _fail(self, text: str) -> None:
         self.get_logger().error(text)
         raise SystemExit(1)
+
+
+def _pause() -> Iterator[bool]:
+    """Wait until the next look at the graph."""
+    end_s = time.monotonic() + LOOK_S
+    while time.monotonic() < end_s:
+        yield False
 
 
 def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
