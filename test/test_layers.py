@@ -247,6 +247,7 @@ def test_the_checks_notice_a_wrong_import(tmp_path: Path, monkeypatch, place: st
         ("fusion_node", "rosbags networkx"),
         ("replay_node", "scipy"),
         ("mapper_node", "scipy"),
+        ("link_emulator_node", "scipy.optimize"),
     ],
 )
 def test_a_killed_node_is_back_sooner_without_libraries_that_it_does_not_use(node: str, needless: str) -> None:

@@ -7,7 +7,7 @@ They are on a domain of its own (`radio_participant`) or on the vehicle's.
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -15,7 +15,6 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.exchange import Receiver
 from uav_vslam.ros.fleet_commands import feedback_to, packets_of
 from uav_vslam.ros.inputs import Input
 from uav_vslam.ros.packet_message import decoded, packet_from_msg, packet_to_msg
@@ -23,6 +22,9 @@ from uav_vslam.ros.qos import RADIO, compatible_qos
 from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.types import LandmarkPacket
 from uav_vslam_msgs.msg import LandmarkInformation
+
+if TYPE_CHECKING:  # the link emulator fuses nothing
+    from uav_vslam.cooperation.exchange import Receiver
 
 OnPacket = Callable[[LandmarkPacket, int], None]  # (packet, serialised size)
 
@@ -88,7 +90,7 @@ class Radio:
         self._receiver: Receiver | None = None
         self._mode = "none"
 
-    def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
+    def tune(self, settings: FusionConfig, receiver: "Receiver") -> None:
         """Change the communication mode: publishers and subscriptions are replaced, or removed in the mode none."""
         mode = self._mode = settings.mode
         self._receiver = receiver
