@@ -55,7 +55,8 @@ class BackendConfig(Settings):
     )
     window: int = setting(
         10,
-        "past poses in the state: tracks of points that are no landmarks correct them; 0: only landmarks are used",
+        "past poses in the state: tracks of points that are no landmarks correct them; 0: only landmarks are used, and "
+        "each is linearised about its first view",
         at_least=0,
         at_most=60,
     )
