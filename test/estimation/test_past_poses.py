@@ -82,8 +82,8 @@ def test_after_an_update_linearised_far_away_too(course, name: str) -> None:
     before, truth = f.nav.T_map_body.t, course.true_state(1).T_map_body
     assert f.update(rows, course.pixels(1, rows), linearise_at=truth).accepted
     assert np.linalg.norm(f.nav.T_map_body.t - before) > 1.0
-    np.testing.assert_allclose(f.past.t[-1], f.nav.T_map_body.t, atol=1e-9)
-    np.testing.assert_allclose(f.past.R[-1], f.nav.T_map_body.R, atol=1e-12)
+    np.testing.assert_allclose(f.past.t[-1], f.nav.T_map_body.t, atol=1e-6)
+    np.testing.assert_allclose(f.past.R[-1], f.nav.T_map_body.R, atol=1e-8)
     np.testing.assert_allclose(f.past.v_map[-1], f.nav.v_map, atol=1e-9)
     apart = np.zeros((6, f.belief.size))
     apart[:, POSE], apart[:, f.vehicle - POSE_DIM : f.vehicle] = np.eye(6), -np.eye(6)

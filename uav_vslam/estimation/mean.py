@@ -51,9 +51,9 @@ class Mean:
         return np.vstack([self.past.t, self.landmarks])
 
     def at(self, T_map_body: Pose) -> Self:
-        """Return this mean with the vehicle at another pose."""
-        nav = dataclasses.replace(self.nav, T_map_body=T_map_body)
-        return dataclasses.replace(self, nav=nav, past=self.past.ending_at(nav))
+        """Return this mean with the vehicle at another pose, and with it the past pose of the same time."""
+        past = self.past.with_newest(self.nav.stamp_ns, R=T_map_body.R, t=T_map_body.t)
+        return dataclasses.replace(self, nav=dataclasses.replace(self.nav, T_map_body=T_map_body), past=past)
 
     def without_landmarks(self) -> Self:
         """Return the mean of the vehicle alone."""
@@ -92,7 +92,7 @@ class Chart:
         return Mean(
             nav,
             self.errors.retract(mean.rig, delta),
-            mean.past.moved(past[:, 1], points[: len(past)]).ending_at(nav),
+            mean.past.moved(past[:, 1], points[: len(past)]).with_newest(nav.stamp_ns, v_map=nav.v_map),
             points[len(past) :],
         )
 

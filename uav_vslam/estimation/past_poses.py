@@ -56,17 +56,12 @@ class PastPoses:
         newest = (np.array(nav.stamp_ns, np.int64), T.R, T.t, nav.v_map, rate_map)
         return type(self)(*(np.concatenate([old, new[None]]) for old, new in zip(self._parts, newest, strict=True)))
 
-    def ending_at(self, nav: NavState) -> Self:
-        """Return them with the pose and the velocity of a state, if the newest is of its time."""
-        if len(self) == 0 or self.stamps_ns[-1] != nav.stamp_ns:
+    def with_newest(self, stamp_ns: int, **parts: Array) -> Self:
+        """Return them with other parts of the newest one, if it is of that time."""
+        if len(self) == 0 or self.stamps_ns[-1] != stamp_ns:
             return self
-        T = nav.T_map_body
-        return dataclasses.replace(
-            self,
-            R=np.concatenate([self.R[:-1], T.R[None]]),
-            t=np.concatenate([self.t[:-1], T.t[None]]),
-            v_map=np.concatenate([self.v_map[:-1], nav.v_map[None]]),
-        )
+        changed = {name: np.concatenate([getattr(self, name)[:-1], part[None]]) for name, part in parts.items()}
+        return dataclasses.replace(self, **changed)
 
     def without(self, numbers: NDArray[np.integer]) -> Self:
         """Return all but some."""
