@@ -35,7 +35,7 @@ def mean_nees(flown) -> float:
     """Return the mean position NEES per axis of six flights."""
     nees = []
     for seed in range(1, 7):
-        flight = flown(seed, frames=25, frame_rate_hz=FAR_HZ)
+        flight = flown(seed, frames=30, frame_rate_hz=FAR_HZ)
         _, reports = fly(flight)
         poses = [report.pose for report in reports[5:]]
         nees += [position_nees(pose, flight.vehicle.true_state(pose.stamp_ns)) for pose in poses]
