@@ -32,7 +32,7 @@ class SecondViews:
 
     def __init__(self, slam_filter: Filter, landmarks: LandmarkMap) -> None:
         self._filter, self._map = slam_filter, landmarks
-        self._last_t_map: Array | None = None  # [m] position at the last frame
+        self._last_t_map = slam_filter.nav.T_map_body.t  # [m] at the last frame
         self._ids: Ids = np.zeros(0, np.uint32)
         self._pixels: Array = np.zeros((0, 4))
 
@@ -43,7 +43,7 @@ class SecondViews:
             self._filter.keep_pose()
 
     def add(self, ids: Ids, pixels: Array) -> None:
-        """Take over the landmarks added from a frame, and its (M, 4) stereo pixels of them."""
+        """Take over the ascending identifiers of landmarks added from a frame, and its (M, 4) stereo pixels of them."""
         self._ids, self._pixels, self._last_t_map = ids, pixels, self._filter.nav.T_map_body.t
 
     def among(self, matches: Matches) -> Mask:
@@ -83,12 +83,11 @@ class SecondViews:
 
     def _both_views(self, ids: Ids, pixels: Array) -> Tracks:
         """Return landmarks added from the last frame as tracks that end in the newest one, with (M, 4) pixels."""
-        order = np.argsort(self._ids)
-        first = self._pixels[order[np.searchsorted(self._ids, ids, sorter=order)]]
+        first = self._pixels[np.searchsorted(self._ids, ids)]
         return Tracks(np.stack([first, pixels], axis=1), np.ones((len(ids), 2), bool), detected=True)
 
     def _is_far(self, features: StereoFeatures) -> bool:
-        if self._last_t_map is None or len(self._map) == 0:
+        if len(self._map) == 0:
             return True
         depth_m = self._filter.rig.triangulate(features.pixels.astype(float), refinements=0)[:, 2]
         depth_m = depth_m[depth_m > MIN_DEPTH_M]  # not NaN
