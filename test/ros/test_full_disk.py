@@ -29,7 +29,7 @@ pytestmark = pytest.mark.ros
 RECORDER = "fleet: recorder"
 PAYLOAD = "x" * 300_000  # a bag is written in chunks of 1 MB
 UNDER_WAY = 15
-ROOM = 300_000  # a part of the next chunk
+ROOM = 700_000  # for two messages of the next chunk
 
 
 class Recording:

@@ -5,7 +5,7 @@ import errno
 import shutil
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
@@ -25,6 +25,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from uav_vslam.datasets.cdr import definition, require_type
 from uav_vslam.datasets.retrying_file import RetryingFile
+from uav_vslam.datasets.truncated_mcap import readable_messages
 from uav_vslam.errors import BagError
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
@@ -35,6 +36,9 @@ class RawRecorder:
     """Writes a bag from CDR bytes. A topic is declared by its first message.
 
     A context manager; on an error it removes the bag.
+
+    Attributes:
+        lost: messages that were taken, but that the file lacks because the disk was full at the end.
     """
 
     def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False, retrying: bool = False) -> None:
@@ -55,8 +59,7 @@ class RawRecorder:
             )
         self.path = path
         self._connections: dict[str, Connection] = {}
-        self._taken = 0  # messages
-        self._chunks: list[tuple[int, int]] = []  # of a retrying bag: where each ends [bytes], messages up to there
+        self._taken = self.lost = 0
         try:
             self._writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
             if zstd:
@@ -92,14 +95,6 @@ class RawRecorder:
         with self._naming_itself():
             self._writer.write(connection, stamp_ns, data)
         self._taken += 1
-        self._note_chunk()
-
-    @property
-    def lost(self) -> int:
-        """Messages that a retrying bag took, but that its closed file lacks."""
-        if self._file is None:
-            return 0
-        return self._taken - max((count for end, count in self._chunks if end <= self._file.written), default=0)
 
     def is_full(self) -> bool:
         """Try to write what a retrying bag holds back, and return whether its disk is still full."""
@@ -116,27 +111,20 @@ class RawRecorder:
         """
         with self._naming_itself():
             try:
-                self._end_chunk()
                 self._writer.close()
             except OSError as error:
                 if self._file is None:
                     raise
+                self.lost = self._taken - self._readable()
                 raise BagError(f"bag {self.path} has no end: {error}; what was recorded before can be read") from None
 
-    def _end_chunk(self) -> None:
-        """Write the messages that wait for their chunk of a retrying bag to be full."""
-        storage = self._writer.storage
-        if self._file is not None and isinstance(storage, McapWriter) and storage.chunk.msgs:
-            storage.close_chunk()
-            self._note_chunk()
-
-    def _note_chunk(self) -> None:
-        """Note the end of a retrying bag's file if it has grown: its messages are written by whole chunks."""
-        if self._file is None:
-            return
-        end = self._file.tell()
-        if not self._chunks or end > self._chunks[-1][0]:
-            self._chunks.append((end, self._taken))
+    def _readable(self) -> int:
+        """Return how many messages can be read from a bag without an end."""
+        count = 0
+        with suppress(EOFError):
+            for _ in readable_messages(self.path / f"{self.path.name}.mcap"):
+                count += 1
+        return count
 
     @contextmanager
     def _naming_itself(self) -> Iterator[None]:

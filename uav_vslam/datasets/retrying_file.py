@@ -22,11 +22,6 @@ class RetryingFile:
         """Whether some of what was written waits for room; `error` says why."""
         return bool(self._waiting)
 
-    @property
-    def written(self) -> int:
-        """How much is in the file [bytes]."""
-        return self._written
-
     def tell(self) -> int:
         """Return the position behind all that was written, or waits [bytes]."""
         return self._written + len(self._waiting)
