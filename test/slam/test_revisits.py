@@ -8,7 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
+from uav_vslam.association.consensus import consensus
 from uav_vslam.config import BackendConfig, VehicleConfig
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.simulation.flight_path import PATTERNS, racetrack_pattern
@@ -17,11 +19,11 @@ from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_v
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.landmark_map import LandmarkMap
-from uav_vslam.slam.revisits import recognise
+from uav_vslam.slam.revisits import MIN_GROUP, expected_by_chance, recognise
 from uav_vslam.studies.engine.own_only import dead_reckon
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
-CONFIG = BackendConfig()
+ANY = 1e9  # chance_revisits: all groups are used
 HOME_M = 120.0  # radius around the start of all ground seen on return, and of none seen half way
 
 
@@ -61,7 +63,7 @@ def test_a_loop_closes_over_retained_landmarks(vehicle, increments) -> None:
     kept = fly(vehicle, increments, frames)
     without = fly(vehicle, increments, frames, retention="none")
     late = len(frames) - 25
-    assert sum(report.closures for report in kept[late:]) >= CONFIG.min_revisited
+    assert sum(report.closures for report in kept[late:]) >= MIN_GROUP
     assert sum(report.closures for report in without) == 0
     assert end_error_m(vehicle, kept) < 0.5 * end_error_m(vehicle, without)
 
@@ -75,14 +77,14 @@ def test_a_redetection_offset_is_down_weighted(vehicle, increments) -> None:
         shift = rng.normal(0.0, 1.0 if k >= late else 0.0, (len(frame), 2)).astype(np.float32)
         frames[k] = dataclasses.replace(frame, pixels=frame.pixels + np.tile(shift, 2))
     trusting, cautious = (fly(vehicle, increments, frames, sigma_px=1.0, redetection_px=px) for px in (0.0, 1.0))
-    assert sum(report.closures for report in cautious[late:]) >= CONFIG.min_revisited
+    assert sum(report.closures for report in cautious[late:]) >= MIN_GROUP
     first = next(k for k, report in enumerate(trusting) if report.closures)
     size = [np.trace(reports[first + 2].pose.covariance[:3, :3]) for reports in (trusting, cautious)]
     assert size[1] > 1.2 * size[0]
 
 
-def test_look_alike_ground_at_the_place_closes_no_loop_if_three_must_agree(vehicle, increments) -> None:
-    """Two agree by chance, in the gates that half a metre of uncertainty leaves."""
+def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> None:
+    """Two of a few agree, as they may by chance in the gates that half a metre of uncertainty leaves."""
     field = scatter_landmarks([vehicle])
     rng = np.random.default_rng(2)
     home = np.linalg.norm(field.points_world[:, :2], axis=1) < HOME_M
@@ -92,8 +94,8 @@ def test_look_alike_ground_at_the_place_closes_no_loop_if_three_must_agree(vehic
     away = len(vehicle.frame_stamps_ns) // 2
     before, after = (observed(vehicle, dataclasses.replace(field, points_world=p)) for p in (field.points_world, moved))
     frames = before[:away] + after[away:]
-    assert sum(report.closures for report in fly(vehicle, increments, frames, min_revisited=3)) == 0
-    assert sum(report.closures for report in fly(vehicle, increments, frames, min_revisited=1)) > 0
+    assert sum(report.closures for report in fly(vehicle, increments, frames)) == 0
+    assert sum(report.closures for report in fly(vehicle, increments, frames, chance_revisits=ANY)) > 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,9 +142,10 @@ def test_a_match_that_is_incompatible_with_the_group_is_left_out(meeting: Meetin
     pairs = meeting.recognise(meeting.seen_again)
     row, feature = pairs[0]
     pixels = meeting.features.pixels.copy()
-    pixels[feature] += 25.0  # within its own gate
+    pixels[feature] += 25.0
+    nu, S = meeting.slam_filter.joint_innovation(pairs[:1, 0], pixels[[feature]].astype(float))
+    assert nu[0] @ np.linalg.solve(S, nu[0]) < chdtri(4, 0.01)  # within its own gate
     elsewhere = dataclasses.replace(meeting.features, pixels=pixels)
-    assert meeting.recognise(np.array([row]), elsewhere, min_revisited=1).tolist() == [[row, feature]]
     assert row not in meeting.recognise(meeting.seen_again, elsewhere)[:, 0]
 
 
@@ -156,14 +159,36 @@ def test_a_group_agrees_within_the_redetection_offsets(meeting: Meeting) -> None
     assert len(strict) < len(tolerant)
 
 
-def test_too_small_a_group_is_rejected(meeting: Meeting) -> None:
+def test_a_match_alone_is_no_group(meeting: Meeting) -> None:
     two = meeting.recognise(meeting.seen_again)[:2]
-    assert meeting.recognise(two[:, 0], min_revisited=2).tolist() == two.tolist()
-    assert meeting.recognise(two[:, 0], min_revisited=3).shape == (0, 2)
-    assert meeting.recognise(two[:1, 0], min_revisited=2).shape == (0, 2)
+    assert meeting.recognise(two[:, 0], chance_revisits=ANY).tolist() == two.tolist()
+    assert meeting.recognise(two[:1, 0], chance_revisits=ANY).shape == (0, 2)
+
+
+def test_a_group_that_chance_explains_is_not_used(meeting: Meeting) -> None:
+    two = meeting.recognise(meeting.seen_again)[:2]
+    _, S = meeting.slam_filter.joint_innovation(two[:, 0], meeting.features.pixels[two[:, 1]].astype(float))
+    chance = expected_by_chance(S, np.arange(2))
+    assert 0.0 < chance < 0.1
+    assert len(meeting.recognise(two[:, 0], chance_revisits=1.01 * chance)) == 2
+    assert len(meeting.recognise(two[:, 0], chance_revisits=0.99 * chance)) == 0
+
+
+@pytest.mark.parametrize(("common_px", "size"), [(5.0, 3), (8.0, 2), (12.0, 2)])
+def test_wrong_matches_form_fewer_groups_than_expected_but_not_far_fewer(common_px: float, size: int) -> None:
+    """Each match is as far off as its own gate allows, in any direction; all gates share the drift."""
+    tried, draws, limit = 3, 4000, chdtri(4, 0.01)
+    S = np.kron(np.ones((tried, tried)), common_px**2 * np.eye(4)) + 16.0 * np.eye(4 * tried)
+    rng = np.random.default_rng(1)
+    direction = rng.normal(size=(draws, tried, 4))
+    radius = np.sqrt(limit * (common_px**2 + 16.0)) * rng.uniform(size=(draws, tried, 1)) ** 0.25
+    matches = radius * direction / np.linalg.norm(direction, axis=2, keepdims=True)
+    formed = sum(len(consensus(nu, S, probability=0.99)) >= size for nu in matches)
+    expected = draws * expected_by_chance(S, np.arange(size))
+    assert 0.1 * expected < formed < 0.5 * expected
 
 
 def test_without_landmarks_or_features_nothing_is_recognised(meeting: Meeting) -> None:
     dark = StereoFeatures.empty(meeting.features.stamp_ns)
     assert meeting.recognise(meeting.seen_again, dark).shape == (0, 2)
-    assert meeting.recognise(meeting.seen_again[:0], min_revisited=1).shape == (0, 2)
+    assert meeting.recognise(meeting.seen_again[:0], chance_revisits=ANY).shape == (0, 2)

@@ -84,10 +84,10 @@ class BackendConfig(Settings):
     redetection_px: float = setting(
         0.0, "standard deviation between two detections of one place, long apart", unit="px", at_least=0
     )
-    min_revisited: int = setting(
-        2,
-        "long-unseen landmarks with wide gates are used only if so many agree; in look-alike places two do by chance",
-        at_least=1,
+    chance_revisits: float = setting(
+        0.05,
+        "long-unseen landmarks with wide gates are used only in a group of which fewer are expected to agree by chance",
+        at_least=0,
     )
     pnp_beyond_px: float = setting(
         8.0,

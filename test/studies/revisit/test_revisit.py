@@ -40,15 +40,15 @@ def test_the_flight_is_back_at_its_start_after_two_kilometres():
 
 
 def test_images_and_points_by_their_seeds_and_every_method_among_them():
-    jobs = revisit_jobs({"one": {"backend.min_revisited": 1}}, [1, 2], [1], frames=20)
+    jobs = revisit_jobs({"one": {"backend.chance_revisits": 1.0}}, [1, 2], [1], frames=20)
     assert [(job.level, job.scenario.seed, job.scenario.frames) for job in jobs] == [
         (LANDMARK, 1, 20),
         (LANDMARK, 2, 20),
         (RENDERED, 1, 20),
     ]
-    assert [(name, c.backend.min_revisited, c.backend.retention) for name, c in jobs[0].configs.items()] == [
-        ("one", 1, "grid"),
-        (FORGETTING, 2, "none"),
+    assert [(name, c.backend.chance_revisits, c.backend.retention) for name, c in jobs[0].configs.items()] == [
+        ("one", 1.0, "grid"),
+        (FORGETTING, 0.05, "none"),
     ]
     assert (jobs[0].configs["one"].backend.sigma_px, jobs[2].configs["one"].backend.sigma_px) == (1.0, 0.3)  # kagaru
 

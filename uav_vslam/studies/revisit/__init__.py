@@ -37,7 +37,7 @@ STUDY = Study(
     examples="""examples:
   uav-vslam study revisit                               10 flights at landmark level, 3 rendered
   uav-vslam study revisit --rendered-seeds 0            landmark level alone; minutes
-  uav-vslam study revisit --rendered-seeds 0 --variant backend.min_revisited=1 --variant backend.min_revisited=3
+  uav-vslam study revisit --rendered-seeds 0 --variant backend.chance_revisits=10
 
 A flight with nothing retained is always included, as the reference for the others.
 """,
