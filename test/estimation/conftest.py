@@ -19,6 +19,7 @@ from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.estimation.past_poses import PastPoses
 from uav_vslam.estimation.square_root import SquareRootBelief
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
@@ -56,11 +57,11 @@ class Course:
     def true_state(self, frame: int) -> NavState:
         return self.vehicle.true_state(int(self.vehicle.frame_stamps_ns[frame]))
 
-    def past_poses(self, frames: int, rate_map: Array) -> PastPoses:
+    def past_poses(self, frames: int, turning: Turning) -> PastPoses:
         """Return the true poses of the first frames."""
         past = PastPoses.none()
         for frame in range(frames):
-            past = past.followed_by(self.true_state(frame), rate_map)
+            past = past.followed_by(self.true_state(frame), turning)
         return past
 
     def pixels(self, frame: int, rows: list[int] | Array, rng: np.random.Generator | None = None) -> Array:

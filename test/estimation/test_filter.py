@@ -180,7 +180,8 @@ def test_prediction_adds_the_rigs_random_walk_and_resets_its_vibration(course, n
 def test_a_time_offset_moves_the_pixels_by_rotation_and_velocity_at_the_stamp(course, model: str) -> None:
     """The rotation rate is the gyroscope's at the end of the increment, bias-corrected."""
     f = course.flown(model, rig_config=dataclasses.replace(EXACT_RIG, time_offset_sigma_s=0.01))
-    turning = dataclasses.replace(course.increments[3], rate_end=np.array([0.3, -0.2, 0.5]) + f.nav.gyro_bias)
+    rate = np.array([0.3, -0.2, 0.5]) + f.nav.gyro_bias
+    turning = dataclasses.replace(course.increments[3], rate_end=rate, rate_slope_end=np.zeros(3))
     f.predict(turning)
     columns, later = f.predict_observations(ALL).H_vehicle[:, :, -1], 1e-6
     nav, before = f.nav, f.predict_observations(ALL).expected

@@ -25,6 +25,7 @@ from uav_vslam.estimation.models import MODELS, POSE
 from uav_vslam.estimation.observation import point_jacobian
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.square_root import SquareRootBelief
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.ins.propagation import propagate, transition
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ DIFFERENCE = 2e-5  # relative to the largest entry: rounding of pixels of order 
 SCALED = 1e-9
 NONE = np.zeros(0, np.int64)
 
+TURNING = Turning(np.array([0.05, -0.2, 0.1]), np.array([3.0, 1.0, -2.0]))
 FLEXING = RigConfig(flexing=True, disparity_sigma_px=0.2, time_offset_sigma_s=0.01)
 CALIBRATED = RigState()
 BENT = RigState(
@@ -49,8 +51,8 @@ def model(request: pytest.FixtureRequest):
 def camera_at(course, model, config: RigConfig, state: RigState, frame: int = 3) -> Camera:
     """Return the camera of a frame as `Filter` makes it."""
     errors = RigErrors(course.rig, config, model.nav_dim)
-    nav, rate = course.true_state(frame), np.array([0.05, -0.2, 0.1])
-    return Camera(errors.rig(state), errors, model, errors.at_exposure(state, nav, rate), rate, 1.0, 0.0)
+    nav = errors.at_exposure(state, course.true_state(frame), TURNING)
+    return Camera(errors.rig(state), errors, model, nav, TURNING.rate(state.time_offset_s), 1.0, 0.0)
 
 
 def pixels_under(course, camera: Camera, state: RigState, frame: int, vehicle: Array, landmarks: Array) -> Array:
@@ -58,7 +60,7 @@ def pixels_under(course, camera: Camera, state: RigState, frame: int, vehicle: A
     errors, n = camera.errors, camera.model.nav_dim
     nav, _ = camera.model.retract(course.true_state(frame), np.zeros((0, 3)), vehicle[:n])
     rig = errors.retract(state, vehicle)
-    seen_from = errors.at_exposure(rig, nav, camera.rate_map)
+    seen_from = errors.at_exposure(rig, nav, TURNING)
     moved = errors.rig(rig)
     return moved.project(point_jacobian(moved, seen_from, landmarks).points_left)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import EXACT_RIG, RigConfig
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.simulation.rig import kagaru_rig, rotated_right
@@ -127,12 +128,14 @@ def test_only_the_vibration_is_reset() -> None:
 
 
 def test_the_exposure_is_extrapolated_by_the_motion() -> None:
-    errors, rate = RigErrors(RIG, FLEXING, 15), np.array([0.1, -0.2, 0.3])
-    later = errors.at_exposure(RigState(time_offset_s=0.01), NAV, rate)
+    errors, turning = RigErrors(RIG, FLEXING, 15), Turning(np.array([0.1, -0.2, 0.3]), np.array([4.0, -3.0, 2.0]))
+    later = errors.at_exposure(RigState(time_offset_s=0.01), NAV, turning)
     np.testing.assert_allclose(later.T_map_body.t, NAV.T_map_body.t + 0.01 * NAV.v_map, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(later.T_map_body.R, so3_exp(0.01 * rate) @ NAV.T_map_body.R, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        later.T_map_body.R, so3_exp(turning.rotation(0.01)) @ NAV.T_map_body.R, rtol=0, atol=1e-15
+    )
     assert (later.stamp_ns, later.v_map is NAV.v_map) == (NAV.stamp_ns, True)
-    assert errors.at_exposure(RigState(), NAV, rate) is NAV
+    assert errors.at_exposure(RigState(), NAV, turning) is NAV
 
 
 def test_no_points_give_an_empty_jacobian() -> None:

@@ -151,7 +151,7 @@ def test_a_time_offset_is_estimated_for_swaying_and_shaking_airframes(fly, motio
     vehicle = motion(3)
     estimating, ignoring = fly(vehicle, LATE, offset_s=offset_s), fly(vehicle, EXACT_RIG, offset_s=offset_s)
     sigma = np.sqrt(rig_covariance(estimating.filter)[0, 0])
-    assert sigma < 0.2e-3  # [s], from 20 ms
+    assert sigma < (0.2e-3 if offset_s < 0.0 else 0.25e-3)  # [s], from 20 ms; after the stamp it is extrapolated
     assert estimating.filter.rig_state.time_offset_s == pytest.approx(offset_s, abs=4 * sigma)
     assert estimating.position_nees < chi2.ppf(0.999, 3) / 3
     assert estimating.position_nees < 0.05 * ignoring.position_nees

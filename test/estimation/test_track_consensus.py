@@ -13,6 +13,7 @@ from uav_vslam.config import RigConfig
 from uav_vslam.estimation.rig_errors import RigErrors
 from uav_vslam.estimation.track_consensus import LEAST_ASKED, WIDE, trusted
 from uav_vslam.estimation.tracks import TrackObservation, Tracks, observe_tracks
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import POSE_DIM
 
 VIEWS = 3
@@ -29,7 +30,7 @@ def seen(course) -> TrackObservation:
     pixels = pixels + rng.normal(0.0, 0.5 * SIGMA_PX, pixels.shape)
     pixels[SLIDING, :, [0, 2]] += 20 * SIGMA_PX * np.arange(VIEWS)
     errors = RigErrors(course.rig, RigConfig(), 15)
-    past = course.past_poses(VIEWS, np.zeros(3))
+    past = course.past_poses(VIEWS, Turning.none())
     tracks = Tracks(pixels, np.ones(pixels.shape[:2], bool))
     return observe_tracks(tracks, past, rig=course.rig, errors=errors, sigma_px=SIGMA_PX)
 

@@ -15,6 +15,7 @@ from uav_vslam.estimation.past_poses import PastPoses
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_linearisation import relinearised
 from uav_vslam.estimation.tracks import DRIFT, LEFT, OFFSET, TrackObservation, Tracks, observe_tracks
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.types import NavEstimate
 
@@ -23,11 +24,11 @@ Array = NDArray[np.float64]
 VIEWS = 4
 SIGMA_PX = 0.1
 RIG = RigConfig(time_offset_sigma_s=1e-3)
-RATE = np.array([0.05, -0.2, 0.1])
+TURNING = Turning(np.array([0.05, -0.2, 0.1]), np.array([3.0, 1.0, -2.0]))
 
 
 def past_poses(course) -> PastPoses:
-    return course.past_poses(VIEWS, RATE)
+    return course.past_poses(VIEWS, TURNING)
 
 
 def seen_tracks(course, rng: np.random.Generator | None = None) -> Tracks:

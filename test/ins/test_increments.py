@@ -39,8 +39,10 @@ def test_composed_increments_equal_the_one_over_both(readings) -> None:
     np.testing.assert_allclose(difference(composed, whole), np.zeros(9), rtol=0, atol=1e-12)
     np.testing.assert_allclose(composed.bias_jacobian, whole.bias_jacobian, rtol=0, atol=1e-12)
     np.testing.assert_allclose(composed.covariance, whole.covariance, rtol=1e-9, atol=1e-20)
-    np.testing.assert_array_equal(composed.rate_start, whole.rate_start)
-    np.testing.assert_array_equal(composed.rate_end, whole.rate_end)
+    np.testing.assert_allclose(composed.rate_start, whole.rate_start, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(composed.rate_slope_start, whole.rate_slope_start, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(composed.rate_end, whole.rate_end, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(composed.rate_slope_end, whole.rate_slope_end, rtol=0, atol=1e-9)
 
 
 def test_error_transfer_is_the_derivative_of_the_composition(readings) -> None:

@@ -217,17 +217,30 @@ def test_a_gap_gives_a_hover_with_a_large_covariance() -> None:
     np.testing.assert_array_equal(increment.bias_jacobian, 0.0)
     for rate in (increment.rate_start, increment.rate_end):
         np.testing.assert_array_equal(rate, GYRO_BIAS)  # its reading without rotation
+    for slope in (increment.rate_slope_start, increment.rate_slope_end):
+        np.testing.assert_array_equal(slope, 0.0)
 
 
-def test_the_rates_at_the_ends_are_what_the_gyroscope_reads_there(readings) -> None:
-    """Interpolated between readings; the bias is included, for any linearisation point."""
-    samples = readings(START_S, FRAME_S, 28)
-    np.testing.assert_array_equal(integrate(samples).rate_end, samples[-1].gyro)
-    np.testing.assert_array_equal(integrate(samples).rate_start, samples[0].gyro)
-    before, after = samples[-2:]
-    end_ns = (3 * before.stamp_ns + after.stamp_ns) // 4
-    early = preintegrate(samples, samples[0].stamp_ns, end_ns, gyro_bias=GYRO_BIAS, accel_bias=ACCEL_BIAS, imu=IMU)
-    np.testing.assert_allclose(early.rate_end, 0.75 * before.gyro + 0.25 * after.gyro, rtol=0, atol=1e-9)
+@pytest.mark.parametrize("end_ns", [140_000_000, 137_000_000])
+@pytest.mark.parametrize("step_ns", [5_000_000, 40_000_000])
+def test_rates_that_change_steadily_are_found_at_the_ends(step_ns: int, end_ns: int) -> None:
+    """Also between two readings, and with few of them; the bias is included, for any linearisation point."""
+    rate, slope = np.array([0.1, -0.3, 0.2]), np.array([1.0, 3.0, -2.0])
+    samples = [ImuSample(t_ns, rate + slope * 1e-9 * t_ns, np.zeros(3)) for t_ns in range(0, 200_000_000, step_ns)]
+    found = preintegrate(samples, 0, end_ns, gyro_bias=GYRO_BIAS, accel_bias=ACCEL_BIAS, imu=IMU)
+    np.testing.assert_allclose(found.rate_start, rate, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.rate_end, rate + slope * 1e-9 * end_ns, rtol=0, atol=1e-12)
+    for found_slope in (found.rate_slope_start, found.rate_slope_end):
+        np.testing.assert_allclose(found_slope, slope, rtol=0, atol=1e-10)
+
+
+def test_the_rates_at_the_ends_are_those_of_the_nearest_readings_together() -> None:
+    """A vibration of 10 rad/s^2 and more, as a single reading or two would show, is none of the vehicle's rotation."""
+    samples = [ImuSample(k * 5_000_000, np.full(3, 0.1 * (-1) ** k), np.zeros(3)) for k in range(29)]
+    found = preintegrate(samples, 0, samples[-1].stamp_ns, gyro_bias=GYRO_BIAS, accel_bias=ACCEL_BIAS, imu=IMU)
+    for rate, slope in ((found.rate_start, found.rate_slope_start), (found.rate_end, found.rate_slope_end)):
+        assert np.abs(rate).max() < 0.03
+        assert np.abs(slope).max() < 1e-6
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1_000])

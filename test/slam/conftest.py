@@ -18,7 +18,7 @@ from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.slam.stage import FrameOutput, SlamStage
-from uav_vslam.types import ImuIncrement, StereoFeatures
+from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,19 @@ class Flown:
     def with_gyro_bias(self, bias: ArrayLike) -> list[tuple[StereoFeatures, ImuIncrement | None]]:
         """Return the frames with increments of readings that contain a further bias, to first order."""
         return [(features, step and shifted(step, -step.bias_jacobian[:, :3] @ bias)) for features, step in self.frames]
+
+    def with_late_images(self, late_s: float) -> list[tuple[StereoFeatures, ImuIncrement | None]]:
+        """Return the frames with increments by readings stamped as by a clock that the images' is behind of."""
+        samples, late_ns, zero = self.vehicle.imu.samples(), round(late_s * NS_PER_S), np.zeros(3)
+        frames = []
+        for features, step in self.frames:
+            if step is not None:
+                ends = step.start_ns + late_ns, step.stamp_ns + late_ns
+                imu = self.vehicle.scenario.imu_config
+                moved = preintegrate(samples, *ends, gyro_bias=zero, accel_bias=zero, imu=imu)
+                step = dataclasses.replace(moved, start_ns=step.start_ns, stamp_ns=step.stamp_ns)
+            frames.append((features, step))
+        return frames
 
     def tracking_stage(self, sigma_px: float) -> SlamStage:
         """Return a stage that has rig and start state, for points with tracks of that noise."""

@@ -11,7 +11,6 @@ from uav_vslam.config.vehicle import START_METHODS, StartConfig
 from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.ins.propagation import VELOCITY
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.stage import FrameOutput, SlamStage
@@ -123,22 +122,6 @@ def test_a_wrong_calibration_that_explains_the_first_frames_is_estimated_and_tol
     assert disparity is not None
     assert abs(disparity.mean_px + disparity_px) < 0.1
     assert flight.errors_and_nees(outputs)[1][25:].mean() < 2.0
-
-
-@pytest.mark.parametrize("late_s", [-0.015, 0.015])
-def test_whatever_a_late_clock_is_taken_for_it_is_named(flown, late_s: float) -> None:
-    flight = flown(1, frames=90, tracked_px=0.05)
-    samples, late_ns = flight.vehicle.imu.samples(), round(late_s * NS_PER_S)
-    stage = flight.tracking_stage(0.05)
-    for features, increment in flight.frames:
-        stage.add_features(features)
-        if increment is not None:
-            start_ns, end_ns = increment.start_ns + late_ns, increment.stamp_ns + late_ns
-            moved = preintegrate(samples, start_ns, end_ns, gyro_bias=ZERO, accel_bias=ZERO, imu=stage._config.imu)
-            stage.add_increment(dataclasses.replace(moved, start_ns=increment.start_ns, stamp_ns=increment.stamp_ns))
-    warnings = [text for output in stage.run() for text in output.warnings]
-    assert warnings
-    assert all("clock" in text for text in warnings)
 
 
 def test_a_start_that_was_not_recorded_is_not_sought_in_the_recording(flown) -> None:

@@ -4,6 +4,7 @@
 import numpy as np
 
 from uav_vslam.config import RigConfig
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.rig import kagaru_rig
 from uav_vslam.smoothing.cameras import Cameras, PixelNoise, RigEstimate
@@ -19,7 +20,7 @@ LANDMARKS = np.array([-1, -1, 0, 0, 0])  # the last three points show one landma
 def test_one_view_is_enough_where_the_landmark_was_seen_before() -> None:
     zero, states = np.zeros(3), np.array([state for state, _ in SEEN])
     flown = [NavState(k, Pose(np.eye(3), np.array([4.0 * k, 0, 70])), zero, zero, zero) for k in range(3)]
-    cameras = Cameras(flown, np.zeros((3, 3)), RigEstimate.of(kagaru_rig(), RigConfig(), len(flown)))
+    cameras = Cameras(flown, [Turning.none()] * 3, RigEstimate.of(kagaru_rig(), RigConfig(), len(flown)))
     own = np.array([point for _, point in SEEN])
     ground = np.array([[3.0, 2, 0], [5, -4, 1], [6, 1, 0], [6, 1, 0], [6, 1, 0]])
     pixels = cameras.rig.project(cameras.points_left(states, ground[own]))

@@ -33,7 +33,7 @@ def state(stamp_ns: int) -> NavState:
 def increment(k: int) -> ImuIncrement | None:
     if k == 0:
         return None
-    return ImuIncrement(k - 1, k, 1, np.eye(3), *[ZERO] * 6, np.zeros((9, 6)), np.eye(9), 1.0, 1.0)
+    return ImuIncrement(k - 1, k, 1, np.eye(3), *[ZERO] * 8, np.zeros((9, 6)), np.eye(9), 1.0, 1.0)
 
 
 def points_of(sightings: Sightings) -> list[list[int]]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import RigConfig
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.propagation import NAV_DIM
@@ -26,7 +27,7 @@ STEP = 1e-5
 SEEN = [0, 1, 2, 6, 7, 8, 15, 16, 17]  # position, attitude, vibration
 STRIDE = NAV_DIM + 3
 RIG = RigConfig(flexing=True, time_offset_sigma_s=0.01)
-RATE_MAP = np.array([0.3, -0.2, 0.1])
+TURNING = Turning(np.array([0.3, -0.2, 0.1]), np.array([3.0, 1.0, -2.0]))
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def flight() -> tuple[list[NavState], RigEstimate, Sightings, np.ndarray]:
 
 
 def cameras(states: list[NavState], rig: RigEstimate) -> Cameras:
-    return Cameras(states, np.tile(RATE_MAP, (STATES, 1)), rig)
+    return Cameras(states, [TURNING] * STATES, rig)
 
 
 def residuals(states: list[NavState], rig: RigEstimate, sightings: Sightings, points: np.ndarray) -> np.ndarray:

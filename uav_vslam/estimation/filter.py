@@ -42,6 +42,7 @@ from uav_vslam.estimation.observation import in_left_camera, smoothed, triangula
 from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPoses
 from uav_vslam.estimation.rig_belief import (
     DisparityEstimate,
+    TimeOffset,
     claimed_belief,
     claimed_covariance,
     claimed_variance,
@@ -52,6 +53,7 @@ from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
+from uav_vslam.estimation.turning import Gusts, Turning
 from uav_vslam.estimation.weighted_update import Innovation, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
@@ -110,7 +112,8 @@ class Filter:
         state_model = MODELS[model]()
         self._chart = Chart(state_model, RigErrors(rig, rig_config or EXACT_RIG, state_model.nav_dim))
         self.sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
-        self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
+        self._turning: Turning | None = None  # at the end of the last increment
+        self._gusts = Gusts()
         self.track_sigma_px = track_sigma_px
         self._of_tracks: VehicleObservation | None = None  # for the next update
         self.mean = Mean.at_start(initial.state)
@@ -177,27 +180,35 @@ class Filter:
         If the time offset is a state, their positions depend on the angular rate: it is known from the first increment
         on, whether propagated over it or given it by `starts` or `ends`.
         """
-        return not self._errors.has_time_offset or self._rate_map is not None
+        return not self._errors.has_time_offset or self._turning is not None
 
     def covariance(self) -> Array:
         """Return (vehicle + 3N, vehicle + 3N), the full covariance in the model's coordinates."""
         return self.belief.covariance(np.arange(len(self.landmarks))).copy()
 
     def starts(self, increment: ImuIncrement) -> None:
-        """Take over the angular rate at the start of an increment, where the estimate is."""
-        self._rate_map = self.nav.T_map_body.R @ (increment.rate_start - self.nav.gyro_bias)
+        """Take over how the vehicle turns at the start of an increment, where the estimate is."""
+        self._turning = turning = Turning.at_start(increment, self.nav)
+        parts = {"rate_map": turning.rate_map, "rate_slope_map": turning.slope_map}
+        self._set_mean(past=self.past.with_newest(self.nav.stamp_ns, **parts))
 
     def ends(self, increment: ImuIncrement) -> None:
-        """Take over the angular rate at the end of an increment, where the estimate is."""
-        self._rate_map = self.nav.T_map_body.R @ (increment.rate_end - self.nav.gyro_bias)
+        """Take over how the vehicle turns at the end of an increment, where the estimate is."""
+        self._turning = Turning.at_end(increment, self.nav)
 
     def predict(self, increment: ImuIncrement) -> None:
         """Propagate over an increment."""
         nav_dim = self._model.nav_dim
+        later_s = self.rig_state.time_offset_s
+        if self._turning is not None:
+            self._gusts = self._gusts.added(self._turning, Turning.at_start(increment, self.nav))
+        if later_s > 0.0:  # the readings at the exposure have come only now
+            self.starts(increment)
         with _stamped(increment.stamp_ns):
             process = self._linear.process(self._model, self.nav, self.belief, increment, self.imu)
             F, Q = np.eye(self._chart.present), np.zeros((self._chart.present, self._chart.present))
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q
+            Q[ROTATION, ROTATION] += self._gusts.rotation_variance(later_s) * np.eye(3)
             Q[self._errors.rows, self._errors.rows] = np.diag(self._errors.noise_variance(increment.dt_s))
             self.belief = self.belief.predicted(F, Q)
             if self._errors.has_vibration:
@@ -209,15 +220,10 @@ class Filter:
         self._set_mean(nav=process.nav)
         self.ends(increment)
 
-    @property
-    def _known_rate_map(self) -> Array:
-        """The (3,) angular rate [rad/s]; zero while it is unknown."""
-        return np.zeros(3) if self._rate_map is None else self._rate_map
-
     def keep_pose(self) -> None:
         """Keep the present pose in the state, as the newest past one; not with `euler9`."""
         self.belief = self.belief.cloned(POSE, COPY_VARIANCE)
-        self._set_mean(past=self.past.followed_by(self.nav, self._known_rate_map))
+        self._set_mean(past=self.past.followed_by(self.nav, self._turning or Turning.none()))
 
     def past_estimate(self, number: int) -> PoseEstimate:
         """Return a past pose, as later frames have corrected it, with its covariance."""
@@ -554,6 +560,21 @@ class Filter:
         self._set_disparity_prior(variance)
         self._set_mean(rig=dataclasses.replace(self.rig_state, disparity_px=0.0))
 
+    def expect_time_offset(self, mean_s: float) -> None:
+        """Move the offset of the cameras' clock [s], if it is a state, and what depends on it; no variance changes."""
+        if self._errors.has_time_offset:
+            row, change_s = self._errors.time_offset.start, mean_s - self.rig_state.time_offset_s
+            column = self.belief.information_changed(row, 0.0)[1]
+            self.correct(self.belief, column / column[row] * change_s)
+
+    @property
+    def time_offset(self) -> TimeOffset | None:
+        """The offset of the cameras' clock; None if it is no state."""
+        if not self._errors.has_time_offset:
+            return None
+        row = self._errors.time_offset.start
+        return TimeOffset(self.rig_state.time_offset_s, float(self.belief.covariance(NO_ROWS)[row, row]) ** 0.5)
+
     @property
     def disparity(self) -> DisparityEstimate | None:
         """What is known of the disparity's error; None if it is no state."""
@@ -576,13 +597,13 @@ class Filter:
         return self.belief.updated(whitened(first, np.zeros((M, STEREO_DOF)), np.ones(M))).belief
 
     def _camera(self) -> Camera:
-        rate_map = self._known_rate_map
+        turning = self._turning or Turning.none()
         return Camera(
             rig=self.rig,
             errors=self._errors,
             model=self._model,
-            nav=self._errors.at_exposure(self.rig_state, self.nav, rate_map),
-            rate_map=rate_map,
+            nav=self._errors.at_exposure(self.rig_state, self.nav, turning),
+            rate_map=turning.rate(self.rig_state.time_offset_s),
             sigma_px=self.sigma_px,
             depth_sigma_ratio=self._depth_sigma_ratio,
             past_rows=POSE_DIM * len(self.past),

@@ -50,7 +50,7 @@ class Camera:
         errors: layout of the error states.
         model: error coordinates of the navigation state.
         nav: navigation state at the exposure.
-        rate_map: (3,) angular rate [rad/s].
+        rate_map: (3,) angular rate at the exposure [rad/s].
         sigma_px: of each pixel coordinate.
         depth_sigma_ratio: see `observation.smoothed`.
         past_rows: number of rows of past poses, the last ones of the vehicle's error.

@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.types import NavState
@@ -28,7 +29,8 @@ class PastPoses:
     Attributes:
         stamps_ns: (V,).
         R, t: (V, 3, 3), (V, 3) of T_map_body, kept up to date by later measurements [m].
-        v_map, rate_map: (V, 3) velocity and angular rate at those frames [m/s], [rad/s].
+        v_map: (V, 3) velocity at those frames [m/s].
+        rate_map, rate_slope_map: (V, 3) angular rate there, and its change [rad/s], [rad/s^2].
     """
 
     stamps_ns: NDArray[np.int64]
@@ -36,12 +38,13 @@ class PastPoses:
     t: Array
     v_map: Array
     rate_map: Array
+    rate_slope_map: Array
 
     @classmethod
     def none(cls) -> Self:
         """Return no poses."""
         vectors = np.zeros((0, 3))
-        return cls(np.zeros(0, np.int64), np.zeros((0, 3, 3)), vectors, vectors, vectors)
+        return cls(np.zeros(0, np.int64), np.zeros((0, 3, 3)), *[vectors] * 4)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -50,10 +53,10 @@ class PastPoses:
         """Return T_map_body of one of them."""
         return Pose(self.R[number], self.t[number])
 
-    def followed_by(self, nav: NavState, rate_map: Array) -> Self:
+    def followed_by(self, nav: NavState, turning: Turning) -> Self:
         """Return these and a newer one."""
         T = nav.T_map_body
-        newest = (np.array(nav.stamp_ns, np.int64), T.R, T.t, nav.v_map, rate_map)
+        newest = (np.array(nav.stamp_ns, np.int64), T.R, T.t, nav.v_map, turning.rate_map, turning.slope_map)
         return type(self)(*(np.concatenate([old, new[None]]) for old, new in zip(self._parts, newest, strict=True)))
 
     def with_newest(self, stamp_ns: int, **parts: Array) -> Self:
@@ -75,8 +78,10 @@ class PastPoses:
         """Return them at the exposures, that long after the stamps of the images."""
         if time_offset_s == 0.0:
             return self
-        return self.moved(self.rate_map * time_offset_s, self.t + self.v_map * time_offset_s)
+        turning = Turning(self.rate_map, self.rate_slope_map)
+        then = self.moved(turning.rotation(time_offset_s), self.t + self.v_map * time_offset_s)
+        return dataclasses.replace(then, rate_map=turning.rate(time_offset_s))
 
     @property
     def _parts(self) -> tuple[NDArray[Any], ...]:
-        return self.stamps_ns, self.R, self.t, self.v_map, self.rate_map
+        return self.stamps_ns, self.R, self.t, self.v_map, self.rate_map, self.rate_slope_map

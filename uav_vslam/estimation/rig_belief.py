@@ -35,6 +35,14 @@ class DisparityEstimate:
     miscalibrated: float
 
 
+@dataclass(frozen=True, slots=True)
+class TimeOffset:
+    """Mean and standard deviation of exposure minus stamp, by the IMU's clock [s]."""
+
+    mean_s: float
+    sigma_s: float
+
+
 def disparity_variance(belief: Belief, errors: RigErrors) -> float:
     """Return the variance of the disparity's error, which must be a state [px^2]."""
     row = errors.disparity.start

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import RigConfig
 from uav_vslam.estimation.disparity_prior import DisparityPrior
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
@@ -156,18 +157,18 @@ class RigErrors:
             rig = rig.disparity_shifted(state.disparity_px)
         return rig.right_magnified(state.focal_ratio) if state.focal_ratio else rig
 
-    def at_exposure(self, state: RigState, nav: NavState, rate_map: Array) -> NavState:
+    def at_exposure(self, state: RigState, nav: NavState, turning: Turning) -> NavState:
         """Return the navigation state at the exposure, `time_offset` after the image's stamp.
 
         Args:
             state: of the rig.
             nav: at the stamp.
-            rate_map: (3,) angular rate in the map frame [rad/s].
+            turning: at the stamp.
         """
         if state.time_offset_s == 0.0:
             return nav
         T, dt = nav.T_map_body, state.time_offset_s
-        return dataclasses.replace(nav, T_map_body=Pose(so3_exp(rate_map * dt) @ T.R, T.t + nav.v_map * dt))
+        return dataclasses.replace(nav, T_map_body=Pose(so3_exp(turning.rotation(dt)) @ T.R, T.t + nav.v_map * dt))
 
     def pixel_jacobian(self, rig: StereoRig, points_left: Array) -> Array:
         """Return (N, 4, dim) d(stereo pixels)/d(rig's errors); zero for the time offset.

@@ -23,6 +23,7 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 Array = NDArray[np.float64]
 
 MAX_GAP_S = 0.05  # longer gaps are reported
+RATE_FIT_S = 0.0201  # readings so near to an end of the interval show the rate there, and how it changes
 
 
 def preintegrate(
@@ -71,6 +72,9 @@ def preintegrate(
     G = _error_jacobians(t_s, dR, dv, dp, turn_jacobians=jacobians, accel_start=accel_start)
     by_all = G.transpose(1, 0, 2).reshape(9, -1)  # Jacobian by the errors of all intervals
     covariance = (by_all * variance.ravel()) @ by_all.T
+    near_start, near_end = t_s <= max(t_s[0] + RATE_FIT_S, t_s[1]), t_s >= min(t_s[-1] - RATE_FIT_S, t_s[-2])
+    rate_start, slope_start = _line(t_s[near_start] - t_s[0], gyro[near_start])
+    rate_end, slope_end = _line(t_s[near_end] - t_s[-1], gyro[near_end])
     return ImuIncrement(
         start_ns=start_ns,
         stamp_ns=stamp_ns,
@@ -78,8 +82,10 @@ def preintegrate(
         delta_R=dR[-1],
         delta_v=dv[-1],
         delta_p=dp[-1],
-        rate_start=gyro[0],
-        rate_end=gyro[-1],
+        rate_start=rate_start,
+        rate_end=rate_end,
+        rate_slope_start=slope_start,
+        rate_slope_end=slope_end,
         gyro_bias=np.array(gyro_bias, dtype=float),
         accel_bias=np.array(accel_bias, dtype=float),
         bias_jacobian=-G.sum(axis=0),
@@ -87,6 +93,13 @@ def preintegrate(
         gyro_noise=imu.gyro_noise,
         accel_noise=imu.accel_noise,
     )
+
+
+def _line(t_s: Array, gyro: Array) -> tuple[Array, Array]:
+    """Return the value at 0 and the slope of the line through K >= 2 readings (K, 3) at times (K,); least squares."""
+    from_mean = t_s - t_s.mean()
+    slope = from_mean @ gyro / (from_mean @ from_mean)
+    return gyro.mean(axis=0) - t_s.mean() * slope, slope
 
 
 def has_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> bool:

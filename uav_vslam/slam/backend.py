@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.filters import make_filter, past_poses
-from uav_vslam.estimation.rig_belief import DisparityEstimate
+from uav_vslam.estimation.rig_belief import DisparityEstimate, TimeOffset
 from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.increments import unknown_motion_since
@@ -62,6 +62,7 @@ class _Outcome:
     doubting: NavEstimate | None = None
     rig_evidence: float = 0.0
     disparity: DisparityEstimate | None = None
+    time_offset: TimeOffset | None = None
     closures: int = 0
     sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     late_sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
@@ -107,6 +108,7 @@ class SlamBackend:
         self._unaided: NavEstimate | None = None  # by the IMU alone, for a while: no image has spoilt it
         self._confirmed = initial  # the newest estimate that an image has confirmed
         self._increment: ImuIncrement | None = None  # the newest
+        self._time_offset_s = 0.0  # of the cameras' clock, about which a filter begins
         self._reset(initial)
 
     @property
@@ -142,6 +144,19 @@ class SlamBackend:
         """Go on with another noise of the IMU."""
         self._vehicle_config = dataclasses.replace(self._vehicle_config, imu=imu)
         self._filter.imu = imu
+
+    @property
+    def time_offset_s(self) -> float:
+        """Exposure minus stamp [s]."""
+        return self._filter.rig_state.time_offset_s
+
+    def expect_time_offset(self, mean_s: float) -> None:
+        """Go on about another offset of the cameras' clock [s], as uncertain as before."""
+        self._filter.expect_time_offset(mean_s)
+
+    def keep_time_offset(self) -> None:
+        """Begin about the present offset whenever the filter is re-initialised."""
+        self._time_offset_s = self.time_offset_s
 
     def process(self, features: StereoFeatures, increment: ImuIncrement | None) -> FrameReport:
         """Predict to a frame and update with its features.
@@ -237,7 +252,7 @@ class SlamBackend:
         self._nav, self._present_rig = present.filter.nav_estimate(), present.filter.rig
         outcome.innovation = present.innovation or outcome.innovation
         outcome.as_calibrated = present.filter.nav_estimate(as_calibrated=True)
-        outcome.disparity = present.filter.disparity
+        outcome.disparity, outcome.time_offset = present.filter.disparity, present.filter.time_offset
         of_landmarks = self._local_map.sightings(outcome.matches)
         outcome.sightings = np.vstack([of_landmarks, self._track_sightings(present, features)])
         outcome.smoothed = self._window.leaving(present.filter)
@@ -258,6 +273,7 @@ class SlamBackend:
             doubting=outcome.doubting,
             rig_evidence=outcome.rig_evidence,
             disparity=outcome.disparity,
+            time_offset=outcome.time_offset,
             closures=outcome.closures,
             tracked=self._continued(step.features),
             coasted=step.increment is not None and associated == 0,
@@ -379,6 +395,7 @@ class SlamBackend:
         self._local_map = LocalMap(
             self._map, self._matcher, slam_filter=self._filter, window=self._window, config=self._config
         )
+        self._filter.expect_time_offset(self._time_offset_s)
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
         self._unaided = initial

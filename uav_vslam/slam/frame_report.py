@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.rig_belief import DisparityEstimate
+from uav_vslam.estimation.rig_belief import DisparityEstimate, TimeOffset
 from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.types import NavEstimate, PoseEstimate
 
@@ -27,6 +27,7 @@ class FrameReport:
         as_calibrated: `nav` with the covariance that it has if the calibration is right; None if re-initialised.
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
         disparity: its constant error as the filter estimates it; None if it does not.
+        time_offset: of the cameras' clock as the filter estimates it; None if it does not.
         closures: associated landmarks that had not been seen for long.
         doubting: what `nav` is without trusting a calibration that is not judged yet; None if it is.
         tracked: stereo points whose track was in the frame before.
@@ -49,6 +50,7 @@ class FrameReport:
     as_calibrated: NavEstimate | None = None
     rig_evidence: float = 0.0
     disparity: DisparityEstimate | None = None
+    time_offset: TimeOffset | None = None
     closures: int = 0
     doubting: NavEstimate | None = None
     tracked: int = 0

@@ -144,6 +144,7 @@ def _moved(unknown: ImuIncrement, start: NavState, T_start_end: Pose, imu: ImuCo
         delta_v=v_end - v_start - fall,
         delta_p=T_start_end.t - v_start * dt - 0.5 * fall * dt,
         rate_end=start.gyro_bias + so3_log(T_start_end.R) / dt,
+        rate_slope_end=np.zeros(3),
         gyro_bias=start.gyro_bias,
         accel_bias=start.accel_bias,
         bias_jacobian=np.zeros((9, 6)),

@@ -17,6 +17,7 @@ from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.bias_steps import BiasStepMonitor
+from uav_vslam.slam.clock_offset import ClockOffsetMonitor
 from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.frame_report import FrameReport
@@ -102,6 +103,7 @@ class SlamStage:
         self._start_watch = StartWatch(config.start.method, config.imu)
         self._rig_monitor, self._noise_monitor = RigMonitor(config.rig), NoiseMonitor(config.imu)
         self._bias_steps = BiasStepMonitor()
+        self._clock: ClockOffsetMonitor | None = None
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._start_warning = ""  # of the start state that was found
@@ -122,7 +124,7 @@ class SlamStage:
     def __getstate__(self) -> dict[str, Any]:
         """Leave out of checkpoints what makes them large: archived landmarks, and earlier states of the back end."""
         archive = None if self._archive is None else self._new_archive()
-        return self.__dict__ | {"_archive": archive, "_bias_steps": BiasStepMonitor()}
+        return self.__dict__ | {"_archive": archive, "_bias_steps": BiasStepMonitor(), "_clock": None}
 
     @property
     def missing_start(self) -> str:
@@ -306,10 +308,12 @@ class SlamStage:
             )
         backend = self._backend
         increment = self._motion(backend, features.stamp_ns, increment)
+        self._clock = self._clock or ClockOffsetMonitor(backend)
         report = backend.process(features, increment)
+        backend, report, of_clock = self._clock.check(backend, features, increment, report, self._config)
         if not backend.imu_fault:
             backend, report = self._bias_steps.check(backend, features, increment, report, self._config)
-            self._backend = backend
+        self._backend = backend
         self._was_motion_unknown |= backend.imu_fault != ""
         dead_reckoned, of_start = self._dead_reckoning.estimate, ""
         assert dead_reckoned is not None  # started with the back end
@@ -318,10 +322,10 @@ class SlamStage:
         report, joint = self._with_joint(backend, report, features)
         if report.recovery:
             self._start_watch.stop(report.pose.stamp_ns)
-            self._bias_steps = BiasStepMonitor()
+            self._bias_steps, self._clock = BiasStepMonitor(), ClockOffsetMonitor(backend)
         self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
-        warnings = [text for text in (self._start_warning, *noisy, of_start, self._warning(report)) if text]
+        warnings = [text for text in (self._start_warning, *noisy, of_clock, of_start, self._warning(report)) if text]
         self._start_warning = ""
         return FrameOutput(report, dead_reckoned, joint, increment, tuple(warnings))
 

@@ -13,6 +13,7 @@ from uav_vslam.estimation.linearisation import Camera, camera_points, pixel_jaco
 from uav_vslam.estimation.models import MODELS, POSE
 from uav_vslam.estimation.observation import MIN_DEPTH_M
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import NAV_DIM
 from uav_vslam.smoothing.sightings import Rows
@@ -139,8 +140,8 @@ class RigEstimate:
 class Cameras:
     """The cameras of all states of a flight."""
 
-    def __init__(self, states: Sequence[NavState], rates_map: Array, rig: RigEstimate) -> None:
-        """Mount the cameras on (N,) states with (N, 3) angular rates in the map frame [rad/s]."""
+    def __init__(self, states: Sequence[NavState], turnings: Sequence[Turning], rig: RigEstimate) -> None:
+        """Mount the cameras on (N,) states, with what is known of their rotation."""
         self._lasting = rig.lasting
         self._vibration = rig.errors.vibration
         at = [rig.state(row) for row in (range(len(states)) if rig.vibrates else [0])]
@@ -150,12 +151,12 @@ class Cameras:
                 rig=rigs[k % len(rigs)],
                 errors=rig.errors,
                 model=MODEL,
-                nav=rig.errors.at_exposure(at[k % len(at)], state, rate_map),
-                rate_map=rate_map,
+                nav=rig.errors.at_exposure(at[k % len(at)], state, turning),
+                rate_map=turning.rate(at[k % len(at)].time_offset_s),
                 sigma_px=1.0,
                 depth_sigma_ratio=0.0,
             )
-            for k, (state, rate_map) in enumerate(zip(states, rates_map, strict=True))
+            for k, (state, turning) in enumerate(zip(states, turnings, strict=True))
         ]
         T_map_left = [camera.nav.T_map_body @ camera.rig.T_body_left for camera in self._cameras]
         self._R_map_left = np.array([T.R for T in T_map_left])

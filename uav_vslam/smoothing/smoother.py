@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import NAV_DIM
 from uav_vslam.slam.saved_map import Mapped
@@ -171,11 +172,10 @@ class _Problem:
     def _cameras(self) -> Cameras:
         increments = self._flight.increments
         if not increments:
-            return Cameras(self.states, np.zeros((1, 3)), self.rig)
-        rates = np.array([increments[0].rate_end, *(increment.rate_end for increment in increments)])
-        rates -= [state.gyro_bias for state in self.states]
-        R = np.array([state.T_map_body.R for state in self.states])
-        return Cameras(self.states, np.einsum("nij,nj->ni", R, rates), self.rig)
+            return Cameras(self.states, [Turning.none()], self.rig)
+        first = Turning.at_start(increments[0], self.states[0])
+        later = (Turning.at_end(*each) for each in zip(increments, self.states[1:], strict=True))
+        return Cameras(self.states, [first, *later], self.rig)
 
 
 def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig, mapped: Mapped | None = None) -> Smoothed:
