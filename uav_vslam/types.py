@@ -112,8 +112,8 @@ class ImuIncrement:
         delta_R: (3, 3) R_start_end.
         delta_v: (3,) change of velocity without gravity, in the start body frame [m/s].
         delta_p: (3,) displacement without gravity and initial velocity, in the start body frame [m].
-        rate_start, rate_end: (3,) angular rates at the ends, by straight lines through the gyroscope's nearest readings,
-            bias included, body frame [rad/s].
+        rate_start, rate_end: (3,) angular rates at the ends, bias included, by straight lines through the gyroscope's
+            nearest readings, body frame [rad/s].
         rate_slope_start, rate_slope_end: (3,) slopes of these lines [rad/s^2].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
         bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); the rotation is perturbed
