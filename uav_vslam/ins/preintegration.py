@@ -78,7 +78,7 @@ def preintegrate(
     return ImuIncrement(
         start_ns=start_ns,
         stamp_ns=stamp_ns,
-        samples=sum(start_ns < sample.stamp_ns <= stamp_ns for sample in samples),
+        samples=bisect_right(stamps_ns, stamp_ns) - bisect_right(stamps_ns, start_ns),
         delta_R=dR[-1],
         delta_v=dv[-1],
         delta_p=dp[-1],
@@ -166,10 +166,12 @@ def _readings_within(
     samples: list[ImuSample], stamps_ns: list[int], start_ns: int, stamp_ns: int
 ) -> tuple[Array, Array, Array]:
     """Return times [s] from the start, gyro and accel (K, 3), with interpolated readings at both ends."""
-    readings = np.array([[*s.gyro.tolist(), *s.accel.tolist()] for s in samples])
-    inside = _inside(stamps_ns, start_ns, stamp_ns)
-    stamps = np.array([start_ns, *stamps_ns[inside], stamp_ns])
-    start, end = (_interpolated(readings, stamps_ns, at_ns) for at_ns in (start_ns, stamp_ns))
+    first, last = max(bisect_left(stamps_ns, start_ns) - 1, 0), bisect_left(stamps_ns, stamp_ns)
+    near_ns = stamps_ns[first : last + 1]  # a reading on either side is enough to interpolate
+    readings = np.array([[*s.gyro.tolist(), *s.accel.tolist()] for s in samples[first : last + 1]])
+    inside = _inside(near_ns, start_ns, stamp_ns)
+    stamps = np.array([start_ns, *near_ns[inside], stamp_ns])
+    start, end = (_interpolated(readings, near_ns, at_ns) for at_ns in (start_ns, stamp_ns))
     columns = np.vstack([start, readings[inside], end])
     return (stamps - start_ns) / NS_PER_S, columns[:, :3], columns[:, 3:]
 
