@@ -103,8 +103,9 @@ def match_distances(
     second = _second_smallest(squared, best)
     good = np.where(np.isfinite(second), first < ratio**2 * second, first < single_distance**2)
     good &= np.isfinite(first)
-    if mutual:
-        good &= np.argmin(squared, axis=0)[best] == rows
+    if mutual and good.any():
+        passed = np.flatnonzero(good)  # few of all columns, which are slow to search in memory of rows
+        good[passed] = np.argmin(squared[:, best[passed]], axis=0) == passed
     return np.stack([rows[good], best[good]], axis=1)
 
 
