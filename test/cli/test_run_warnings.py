@@ -132,7 +132,8 @@ def test_ground_truth_that_never_turns_is_warned_about_and_attitude_is_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its attitude counted as an error of the estimate, with a NEES of 634."""
-    bag = rewritten(SAMPLE, tmp_path / "bag", edited(TRUTH, never_turned))
+    begin = before(SAMPLE_FROM_NS + 7 * NS_PER_S, SAMPLE, tmp_path / "begin")
+    bag = rewritten(begin, tmp_path / "bag", edited(TRUTH, never_turned))
     arguments = ["--config", "sample", "--no-plots", "--no-maps", "--no-smoothing", "--workers", "1"]
     assert main(["run", str(bag), *arguments, "--results", str(tmp_path / "out")]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "never changes" in line]
