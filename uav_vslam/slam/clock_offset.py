@@ -127,6 +127,6 @@ def _warning(found: TimeOffset) -> str:
         return ""
     side = "after" if found.mean_s > 0.0 else "before"
     return (
-        f"the images are exposed {1e3 * abs(found.mean_s):.1f} ms {side} their stamps, by the IMU's clock: write "
-        f"timeshift_cam_imu: {found.mean_s:.4f} into the calibration, or mend the stamps"
+        f"the images are exposed {1e3 * abs(found.mean_s):.1f} ms {side} their stamps, by the IMU's clock: add "
+        f"{found.mean_s:+.4f} to timeshift_cam_imu in the calibration, or mend the stamps"
     )

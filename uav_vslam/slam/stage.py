@@ -311,6 +311,8 @@ class SlamStage:
         self._clock = self._clock or ClockOffsetMonitor(backend)
         report = backend.process(features, increment)
         backend, report, of_clock = self._clock.check(backend, features, increment, report, self._config)
+        if backend is not self._backend:  # earlier ones are linearised about another offset
+            self._bias_steps = BiasStepMonitor()
         if not backend.imu_fault:
             backend, report = self._bias_steps.check(backend, features, increment, report, self._config)
         self._backend = backend
