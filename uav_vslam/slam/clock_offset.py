@@ -8,7 +8,6 @@ about the offset that was found, until it stays there.
 """
 
 import copy
-from collections import deque
 from dataclasses import dataclass, field
 
 from uav_vslam.config import VehicleConfig
@@ -44,7 +43,7 @@ class ClockOffsetMonitor:
 
     def __init__(self, backend: SlamBackend) -> None:
         """Begin with a back end that is to process the next frame."""
-        self._past = deque([_Past(copy.deepcopy(backend))], maxlen=KEPT)
+        self._past = [_Past(copy.deepcopy(backend))]
         self._about_s = backend.time_offset_s
         self._times = self._missed = 0
 
@@ -74,6 +73,7 @@ class ClockOffsetMonitor:
             return backend, report, ""
         for past in self._past:
             past.frames.append((features, increment))
+        before = backend
         self._missed = self._missed + 1 if report.coasted and report.tracked >= MIN_FEATURES else 0
         if self._missed == MISSED:
             backend, report = self._sought(backend, config) or (backend, report)
@@ -83,6 +83,8 @@ class ClockOffsetMonitor:
             if any(one.recovery for one in reports):
                 break
             backend, report = again, reports[-1]
+        if backend is not before:  # what has been kept since is linearised elsewhere
+            self._past = self._past[:1]
         return backend, report, "" if found is None else self._settle(backend, found)
 
     def _is_far(self, found: TimeOffset) -> bool:
@@ -117,7 +119,7 @@ class ClockOffsetMonitor:
             backend.keep_time_offset()
             return _warning(found)
         if backend.stamp_ns - self._past[-1].stamp_ns > EVERY_S * NS_PER_S:
-            self._past.append(_Past(copy.deepcopy(backend)))
+            self._past = [*self._past, _Past(copy.deepcopy(backend))][-KEPT:]
         return ""
 
 
