@@ -25,7 +25,7 @@ def warnings_of(outputs: list[FrameOutput]) -> list[str]:
     return [text for output in outputs for text in output.warnings]
 
 
-@pytest.mark.parametrize(("seed", "late_s"), [(1, 0.01), (2, 0.02), (2, -0.015), (2, 0.03)])
+@pytest.mark.parametrize(("seed", "late_s"), [(1, 0.01), (2, 0.02), (2, -0.015)])
 def test_the_offset_is_found_in_the_first_second_and_costs_nothing(flown, seed: int, late_s: float) -> None:
     """With seed 2 no track fits a prediction by the stamps, from the second frame on."""
     flight = flown(seed, frames=60, tracked_px=PX)

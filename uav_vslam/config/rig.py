@@ -61,7 +61,7 @@ class RigConfig(Settings):
         3.0e-3, "focal length of the right camera over the left one's, relative error, estimated; 0: none", at_least=0
     )
     time_offset_sigma_s: float = setting(
-        0.01, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
+        3.0e-3, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
     )
 
     def _check_together(self) -> None:

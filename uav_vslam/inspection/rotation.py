@@ -28,7 +28,7 @@ CAMERAS = "the cameras"
 MIN_INTERVALS = 4
 LATE_MS = range(-300, 301, 5)  # offsets of the clocks that are tried
 LATE_SHARE = 0.5  # of the difference: an offset that leaves less explains it
-LATE_WARNED_MS = 10  # `rig.time_offset_sigma_s`: the filter estimates smaller offsets without loss
+LATE_WARNED_MS = 10  # three sigma of `rig.time_offset_sigma_s`: the filter estimates smaller offsets
 COVERED_SHARE = 0.5  # of the intervals without an offset: one that leaves fewer is no match
 
 
