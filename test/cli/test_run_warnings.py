@@ -146,11 +146,11 @@ def test_ground_truth_that_never_turns_is_warned_about_and_attitude_is_left_out(
         assert true[key] is not None
 
 
-@pytest.mark.parametrize("late_ns", [0, 30_000_000])
+@pytest.mark.parametrize("late_ns", [0, 50_000_000])
 def test_a_flight_that_is_mostly_dead_reckoning_is_warned_about(
     late_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Here for the IMU's clock; the figures of the innovations, of the few frames left, look conservative."""
+    """Here for the IMU's clock, farther off than is sought; the figures of the innovations, of the few frames left, look conservative."""
     begin = before(SAMPLE_FROM_NS + 3 * NS_PER_S, SAMPLE, tmp_path / "begin")
     bag = rewritten(begin, tmp_path / "late", later(IMU, late_ns))
     arguments = ["--vehicles", "uav1", "--config", "sample", "--no-plots", "--no-maps", "--no-smoothing"]
