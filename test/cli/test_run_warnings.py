@@ -150,7 +150,7 @@ def test_ground_truth_that_never_turns_is_warned_about_and_attitude_is_left_out(
 def test_a_flight_that_is_mostly_dead_reckoning_is_warned_about(
     late_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Here for the IMU's clock, farther off than is sought; the figures of the innovations, of the few frames left, look conservative."""
+    """Here for the IMU's clock, too far off to be found; the innovations of the few frames left look conservative."""
     begin = before(SAMPLE_FROM_NS + 3 * NS_PER_S, SAMPLE, tmp_path / "begin")
     bag = rewritten(begin, tmp_path / "late", later(IMU, late_ns))
     arguments = ["--vehicles", "uav1", "--config", "sample", "--no-plots", "--no-maps", "--no-smoothing"]
