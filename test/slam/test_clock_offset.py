@@ -3,22 +3,13 @@
 
 import numpy as np
 import pytest
+from fed_stage import feed
 
 from uav_vslam.slam import clock_offset
 from uav_vslam.slam.clock_offset import EVERY_S, KEPT, ClockOffsetMonitor
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import FrameOutput
 
 PX = 0.05
-
-
-def fly(stage: SlamStage, frames) -> list[FrameOutput]:
-    outputs = []
-    for features, increment in frames:
-        stage.add_features(features)
-        if increment is not None:
-            stage.add_increment(increment)
-        outputs += stage.run()
-    return outputs
 
 
 def warnings_of(outputs: list[FrameOutput]) -> list[str]:
@@ -29,7 +20,7 @@ def warnings_of(outputs: list[FrameOutput]) -> list[str]:
 def test_the_offset_is_found_in_the_first_second_and_costs_nothing(flown, seed: int, late_s: float) -> None:
     """With seed 2 no track fits a prediction by the stamps, from the second frame on."""
     flight = flown(seed, frames=60, tracked_px=PX)
-    found, right = (fly(flight.tracking_stage(PX), flight.with_late_images(late)) for late in (late_s, 0.0))
+    found, right = (feed(flight.tracking_stage(PX), flight.with_late_images(late)) for late in (late_s, 0.0))
     (warning,) = warnings_of(found)
     assert (
         f"{'before' if late_s > 0 else 'after'} their stamps, by the IMU's clock: add {'-' if late_s > 0 else '+'}0.0"
@@ -49,7 +40,7 @@ def test_without_linearising_again_the_flight_is_lost(flown, monkeypatch: pytest
     monkeypatch.setattr(ClockOffsetMonitor, "_is_far", lambda self, found: False)
     monkeypatch.setattr(ClockOffsetMonitor, "_sought", lambda self, present, config: None)
     flight = flown(2, frames=60, tracked_px=PX)
-    found = fly(flight.tracking_stage(PX), flight.with_late_images(0.02))
+    found = feed(flight.tracking_stage(PX), flight.with_late_images(0.02))
     assert any(output.report.recovery for output in found)
     assert flight.errors_and_nees(found)[1].mean() > 3.0
 
@@ -57,10 +48,10 @@ def test_without_linearising_again_the_flight_is_lost(flown, monkeypatch: pytest
 def test_a_right_clock_is_watched_for_a_second_only_and_nothing_changes(flown, monkeypatch) -> None:
     flight = flown(1, frames=24, tracked_px=PX)
     stage = flight.tracking_stage(PX)
-    watched = fly(stage, flight.frames)
+    watched = feed(stage, flight.frames)
     assert not stage._clock._past
     monkeypatch.setattr(ClockOffsetMonitor, "check", lambda self, backend, f, i, report, c: (backend, report, ""))
-    for output, other in zip(watched, fly(flight.tracking_stage(PX), flight.frames), strict=True):
+    for output, other in zip(watched, feed(flight.tracking_stage(PX), flight.frames), strict=True):
         np.testing.assert_array_equal(output.report.pose.T_map_body.t, other.report.pose.T_map_body.t)
 
 
@@ -69,7 +60,7 @@ def test_an_offset_that_is_not_known_yet_keeps_few_frames(flown, monkeypatch: py
     flight = flown(1, frames=70, tracked_px=PX)
     stage, kept = flight.tracking_stage(PX), []
     for frame in flight.frames:
-        fly(stage, [frame])
+        feed(stage, [frame])
         kept.append([len(one.frames) for one in stage._clock._past])
     assert max(len(one) for one in kept) == KEPT
     assert max(max(one) for one in kept) * 0.14 < (KEPT + 0.5) * EVERY_S  # a frame every 0.14 s

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fed_stage import feed
 
 from uav_vslam.config import RigConfig, StartConfig, VehicleConfig
 from uav_vslam.config.vehicle import OutputFramesConfig
@@ -25,17 +26,6 @@ def make(flight, *, start: StartConfig | None = None, rig: bool = True) -> SlamS
     stage = SlamStage(config, vehicle="uav1", session=3)
     stage.rig = flight.vehicle.rig if rig else None
     return stage
-
-
-def feed(stage: SlamStage, frames) -> list[FrameOutput]:
-    """Add frames one by one and return the outputs."""
-    outputs: list[FrameOutput] = []
-    for features, increment in frames:
-        stage.add_features(features)
-        if increment is not None:
-            stage.add_increment(increment)
-        outputs += stage.run()
-    return outputs
 
 
 def test_an_empty_map_is_refused_wherever_it_comes_from(tmp_path: Path) -> None:

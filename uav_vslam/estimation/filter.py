@@ -562,8 +562,9 @@ class Filter:
 
     def expect_time_offset(self, mean_s: float) -> None:
         """Move the offset of the cameras' clock [s], if it is a state, and what depends on it; no variance changes."""
-        if self._errors.has_time_offset:
-            row, change_s = self._errors.time_offset.start, mean_s - self.rig_state.time_offset_s
+        change_s = mean_s - self.rig_state.time_offset_s
+        if self._errors.has_time_offset and change_s:  # a change takes a factor
+            row = self._errors.time_offset.start
             column = self.belief.information_changed(row, 0.0)[1]
             self.correct(self.belief, column / column[row] * change_s)
 

@@ -4,6 +4,7 @@
 Nothing received over a network enters here.
 """
 
+import copy
 import dataclasses
 from dataclasses import dataclass, field
 from functools import partial
@@ -136,9 +137,15 @@ class SlamBackend:
         """Leave out identifiers that may have been given to other landmarks."""
         self._map.skip_ids(SKIPPED_IDS)
 
-    def continue_landmark_ids(self, other: "SlamBackend") -> None:
-        """Leave out identifiers that another back end has given to its landmarks since this one was copied from it."""
-        self._map.continue_ids(other._map)
+    def to_replace(self, present: "SlamBackend", config: VehicleConfig) -> "SlamBackend":
+        """Return a copy that is to use again what the present one has used since, and to replace it.
+
+        It leaves out the identifiers that the present one has given to landmarks since.
+        """
+        backend = copy.deepcopy(self)
+        backend.configure(config)
+        backend._map.continue_ids(present._map)
+        return backend
 
     def set_imu(self, imu: ImuConfig) -> None:
         """Go on with another noise of the IMU."""

@@ -168,9 +168,7 @@ def _replayed(
     gyro_walk, accel_walk = (sigma / (past.age_s - constant_s) ** 0.5 for sigma in STEP_SIGMA)
     stepping = dataclasses.replace(config.imu, gyro_bias_walk=gyro_walk, accel_bias_walk=accel_walk)
     open_until_ns = past.unaided.state.stamp_ns - constant_s * NS_PER_S
-    backend = copy.deepcopy(past.backend)
-    backend.configure(config)
-    backend.continue_landmark_ids(present)
+    backend = past.backend.to_replace(present, config)
     for features, increment in past.frames:
         is_over = increment.stamp_ns > open_until_ns
         backend.set_imu(config.imu if is_over else stepping)

@@ -106,9 +106,7 @@ class ClockOffsetMonitor:
     ) -> tuple[SlamBackend, list[FrameReport]]:
         """Return a back end that is linearised about an offset, and its reports."""
         self._about_s = about_s
-        backend = copy.deepcopy(self._past[0].backend)
-        backend.configure(config)
-        backend.continue_landmark_ids(present)
+        backend = self._past[0].backend.to_replace(present, config)
         backend.expect_time_offset(about_s)
         return backend, [backend.process(features, increment) for features, increment in self._past[0].frames]
 
