@@ -30,7 +30,7 @@ from uav_vslam.types import PoseEstimate
 
 ROOT = Path(__file__).parents[1]
 FRAMES = 18  # 2.4 s: two epochs, so that a packet of the first is old enough for the second
-EUROC_FRAMES = 66  # of 100 keyframes: every gap is before the last of these
+EUROC_FRAMES = 32  # of 100 keyframes, gaps of 7 and 5 s among them
 EUROC_FIRST_FRAMES = 8  # the gap of 7.3 s is after the first
 
 # Messages carry float64 (pixels are float32 on both sides), so positions are the same numbers. Only the orientation

@@ -74,11 +74,13 @@ class Dense:
         P[rows, rows] = variance
         return Dense(P, self.vehicle)
 
-    def information_changed(self, row: int, change: float) -> tuple["Dense", Array]:
+    def column(self, row: int) -> Array:
+        return self.P[:, row]
+
+    def information_changed(self, row: int, change: float) -> "Dense":
         Y = np.linalg.inv(self.P)
         Y[row, row] += change
-        P = np.linalg.inv(Y)
-        return Dense(P, self.vehicle), P[:, row]
+        return Dense(np.linalg.inv(Y), self.vehicle)
 
     def information_removed(self, B: Array) -> "Dense":
         Y = np.linalg.inv(self.P)
@@ -320,10 +322,10 @@ def test_information_is_added_to_a_row_or_taken_away(
     belief, dense = draw.belief(form, m, n)
     row = seed % m
     change = share / dense.P[row, row]
-    (after, column), (expected, expected_column) = (b.information_changed(row, change) for b in (belief, dense))
+    after, expected = (b.information_changed(row, change) for b in (belief, dense))
     assert_holds(after, expected)
     scale = np.sqrt(np.diag(expected.P) * expected.P[row, row])
-    np.testing.assert_allclose((column - expected_column) / scale, 0.0, rtol=0, atol=SCALED)
+    np.testing.assert_allclose((after.column(row) - expected.column(row)) / scale, 0.0, rtol=0, atol=SCALED)
 
 
 @FEW
@@ -453,7 +455,7 @@ def test_operations_modify_neither_the_belief_nor_their_arguments(
         lambda b: b.updated(seen).belief,
         lambda b: b.coordinates_changed(B, columns),
         lambda b: b.information_removed(bound),
-        lambda b: b.information_changed(0, 1.0 / dense.P[0, 0])[0],
+        lambda b: b.information_changed(0, 1.0 / dense.P[0, 0]),
         lambda b: b.reset_rows(np.arange(2), 1.0),
         lambda b: b.appended(*fresh),
         lambda b: b.marginalised(gone),
@@ -461,7 +463,7 @@ def test_operations_modify_neither_the_belief_nor_their_arguments(
         corrupt(operate(belief).covariance(NONE))
         corrupt(belief.covariance(np.arange(n)))
         marginals = belief.marginals(np.arange(n))
-        for returned in (marginals.vehicle, marginals.cross, marginals.landmarks):
+        for returned in (marginals.vehicle, marginals.cross, marginals.landmarks, belief.column(0)):
             corrupt(returned)
         np.testing.assert_allclose(belief.marginals(NONE).vehicle, dense.P[:m, :m], rtol=SCALED, atol=1e-8)
         assert_holds(belief, dense)
@@ -505,7 +507,7 @@ def test_an_indefinite_matrix_is_rejected(form: type[Belief]) -> None:
     with pytest.raises(FilterDivergence, match="not positive definite"):
         belief.information_removed(too_much).covariance(NONE)
     with pytest.raises(FilterDivergence):
-        belief.information_changed(0, -1.01 / belief.covariance(NONE)[0, 0])
+        belief.information_changed(0, -1.01 / belief.covariance(NONE)[0, 0]).covariance(NONE)
 
 
 def test_normal_equations_are_those_of_the_dense_jacobian() -> None:

@@ -208,8 +208,11 @@ class Belief(Protocol):
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         """Reset some rows of the vehicle: they become independent of all others, with the given variance."""
 
-    def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
-        """Add information to a row of the vehicle, or take it away; return also this row's covariances (size,)."""
+    def column(self, row: int) -> Array:
+        """Return the covariances (size,) of a row of the vehicle with all rows."""
+
+    def information_changed(self, row: int, change: float) -> Self:
+        """Add information to a row of the vehicle, or take it away."""
 
     def information_removed(self, B: Array) -> Self:
         """Subtract information from the vehicle: P <- (P^-1 - B^T B)^-1 with B (k, vehicle)."""

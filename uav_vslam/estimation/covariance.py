@@ -63,11 +63,14 @@ class CovarianceBelief:
         P[rows, rows] = variance
         return type(self)(P, self.vehicle)
 
-    def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
+    def column(self, row: int) -> Array:
+        return self.P[:, row].copy()
+
+    def information_changed(self, row: int, change: float) -> Self:
         """P <- P - p p^T change / (1 + change p_row) for the column p of P."""
         p = self.P[:, row]
         left = share_left(change, float(p[row]))
-        return type(self)(self.P - np.outer(p, p) * (change / left), self.vehicle), p / left
+        return type(self)(self.P - np.outer(p, p) * (change / left), self.vehicle)
 
     def information_removed(self, B: Array) -> Self:
         """P <- P + W^T W, W = L^-1 B P with I - B P B^T = L L^T."""

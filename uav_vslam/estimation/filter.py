@@ -538,9 +538,9 @@ class Filter:
             return
         change = 1.0 / variance - 1.0 / prior
         with _stamped(self.nav.stamp_ns):
-            belief, column = self.belief.information_changed(self._errors.disparity.start, change)
+            belief = self.belief.information_changed(self._errors.disparity.start, change)
             self._set_disparity_prior(variance)
-            self.correct(belief, -change * mean * column)
+            self.correct(belief, -change * mean * belief.column(self._errors.disparity.start))
 
     @property
     def disparity_prior(self) -> DisparityPrior:
@@ -565,7 +565,7 @@ class Filter:
         change_s = mean_s - self.rig_state.time_offset_s
         if self._errors.has_time_offset and change_s:  # a change takes a factor
             row = self._errors.time_offset.start
-            column = self.belief.information_changed(row, 0.0)[1]
+            column = self.belief.column(row)
             self.correct(self.belief, column / column[row] * change_s)
 
     @property

@@ -127,12 +127,13 @@ class InformationBelief:
         known = self._carried()
         return type(self)(Y, self.vehicle, known and known.then(known.marginals.reset_rows(rows, variance)))
 
-    def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
+    def column(self, row: int) -> Array:
+        return np.asarray(cho_solve((self._cholesky(), True), np.eye(1, self.size, row)[0], check_finite=False))
+
+    def information_changed(self, row: int, change: float) -> Self:
         Y = self.Y.copy()
         Y[row, row] += change
-        after = type(self)(Y, self.vehicle)
-        column = cho_solve((after._cholesky(), True), np.eye(1, self.size, row)[0], check_finite=False)
-        return after, column
+        return type(self)(Y, self.vehicle)
 
     def information_removed(self, B: Array) -> Self:
         Y = self.Y.copy()

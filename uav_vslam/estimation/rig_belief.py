@@ -71,9 +71,7 @@ def claimed_belief(belief: Belief, errors: RigErrors, state: RigState) -> Belief
         return belief
     variance = disparity_variance(belief, errors)
     claimed = claimed_variance(variance, errors, state)
-    if claimed == variance:  # nothing is uncertain, and a change takes a factor
-        return belief
-    return belief.information_changed(errors.disparity.start, 1.0 / claimed - 1.0 / variance)[0]
+    return belief.information_changed(errors.disparity.start, 1.0 / claimed - 1.0 / variance)
 
 
 def rig_evidence(belief: Belief, errors: RigErrors, state: RigState) -> float:

@@ -68,12 +68,15 @@ class SquareRootBelief:
         G[rows] = 0.0
         return type(self)(np.hstack([G, fresh]), self.vehicle)
 
-    def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
+    def column(self, row: int) -> Array:
+        return np.asarray(self.G @ self.G[row])
+
+    def information_changed(self, row: int, change: float) -> Self:
         """G <- G (I - a u u^T) with u the row of G: (I - a u u^T)^2 = I - u u^T change / (1 + change u^T u)."""
         u = self.G[row]
         length2 = float(u @ u)
-        left, p = share_left(change, length2), self.G @ u
-        return type(self)(self.G - np.outer(p, u) * ((1.0 - left**-0.5) / length2), self.vehicle), p / left
+        left = share_left(change, length2)
+        return type(self)(self.G - np.outer(self.G @ u, u) * ((1.0 - left**-0.5) / length2), self.vehicle)
 
     def information_removed(self, B: Array) -> Self:
         BG = B @ self.G[: self.vehicle]
