@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.numerics import (
-    SMALL_TRIANGLE,
     cholesky,
     inverse_of_triangle,
     inverse_spd,
@@ -46,7 +45,7 @@ def test_inverse_and_solve_agree_with_the_definition(A: Array) -> None:
     np.testing.assert_allclose(L @ L.T, A, rtol=RELATIVE, atol=RELATIVE)
 
 
-@pytest.mark.parametrize("n", [0, 1, SMALL_TRIANGLE, SMALL_TRIANGLE + 1, 3 * SMALL_TRIANGLE])
+@pytest.mark.parametrize("n", [0, 1, 80, 240])
 def test_a_triangle_is_inverted_directly_or_by_halves(n: int) -> None:
     L = cholesky(random_spd(n, n), "A")
     before = L.copy()

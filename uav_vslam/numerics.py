@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.linalg.blas import dgemm, dtrmm
+from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtri
 
 from uav_vslam.errors import FilterDivergence
@@ -12,7 +12,6 @@ from uav_vslam.errors import FilterDivergence
 Array = NDArray[np.float64]
 
 NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-SMALL_TRIANGLE = 80  # rows up to which LAPACK inverts a triangle as fast as the halving does
 
 
 def symmetrise(A: Array) -> Array:
@@ -62,20 +61,10 @@ def inverse_from_cholesky(L: Array) -> Array:
 
 
 def inverse_of_triangle(L: Array) -> Array:
-    """Return the inverse of a lower triangle L (n, n), by recursive halving.
-
-    Nearly all of the work is then matrix products: half the time of LAPACK's dtrtri.
-    """
-    if len(L) == 0:
+    """Return the inverse of a lower triangle L (n, n)."""
+    if len(L) == 0:  # LAPACK would complain on the terminal
         return np.zeros((0, 0))
-    if len(L) <= SMALL_TRIANGLE:
-        return np.asarray(dtrtri(L, lower=1)[0])
-    k = len(L) // 2
-    inverse = np.zeros(L.shape, order="F")
-    inverse[:k, :k] = first = inverse_of_triangle(L[:k, :k])
-    inverse[k:, k:] = second = inverse_of_triangle(L[k:, k:])
-    inverse[k:, :k] = dtrmm(-1.0, second, dtrmm(1.0, first, L[k:, :k], side=1, lower=1), lower=1)
-    return inverse
+    return np.asarray(dtrtri(L, lower=1)[0])
 
 
 def log_det_of(L: Array) -> float:
