@@ -231,6 +231,8 @@ class FrameQuality:
         dof: its degrees of freedom, 0 without an update.
         gate_probability: of the gate that let the observations in.
         events: problems reported at this frame.
+        time_offset_s, time_offset_sigma_s: exposure minus stamp by the IMU's clock, as estimated; sigma 0 if it is not.
+        disparity_error_px, disparity_error_sigma_px: of the calibration, as estimated; sigma 0 if it is not.
     """
 
     stamp_ns: int
@@ -247,6 +249,10 @@ class FrameQuality:
     dof: int
     gate_probability: float
     events: tuple[str, ...] = ()
+    time_offset_s: float = 0.0
+    time_offset_sigma_s: float = 0.0
+    disparity_error_px: float = 0.0
+    disparity_error_sigma_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,6 +128,10 @@ def test_the_table_of_frames_holds_what_the_filter_reported(tmp_path: Path) -> N
             assert float(row["nis_per_dof"]) == pytest.approx(frame.nis / frame.dof, rel=1e-5)
             assert float(row["band_low"]) < 1.0 < float(row["band_high"])
     assert float(rows[-1]["sigma_up_m"]) == pytest.approx(np.sqrt(vehicle.s_slam.covariance[-1, 2, 2]), rel=1e-5)
+    last = vehicle.frames[-1]
+    assert 0.0 < last.time_offset_sigma_s < vehicle.frames[0].time_offset_sigma_s  # tracks and landmarks show it
+    for key, value in (("time_offset_ms", 1e3 * last.time_offset_s), ("disparity_error_px", last.disparity_error_px)):
+        assert float(rows[-1][key]) == pytest.approx(value, rel=1e-5)
     assert [row["alarms"] for row in rows[2:5]] == ["", "left camera", ""]
     assert {row["nees_position"] for row in rows} == {""}  # there is no truth
 

@@ -60,6 +60,19 @@ def test_innovations_points_and_claims_are_those_of_the_frames(judged):
     np.testing.assert_allclose(heading.lines[-1].get_ydata(), np.degrees(0.5))
 
 
+def test_the_calibration_is_drawn_where_it_is_estimated(judged):
+    """The clocks, 0.2 ms apart, in all frames but the first; the disparity never."""
+    vehicle = judged.vehicles["uav1"]
+    first, *others = vehicle.frames
+    frames = (first, *(dataclasses.replace(f, time_offset_s=-2e-4, time_offset_sigma_s=1e-4) for f in others))
+    vehicles = {"uav1": dataclasses.replace(vehicle, frames=frames)}
+    offset = quality_plot(dataclasses.replace(judged, vehicles=vehicles)).axes[4:]
+    assert [axes.get_ylabel() for axes in offset] == ["Time offset ±1σ [ms]"]
+    np.testing.assert_allclose(offset[0].lines[-1].get_ydata(), [np.nan, *[-0.2] * 99])
+    low, high = offset[0].collections[-1].get_datalim(offset[0].transData).intervaly
+    assert (low, high) == pytest.approx((-0.3, -0.1))
+
+
 def test_the_scale_of_a_row_holds_what_every_vehicle_has_in_it(judged):
     """The second vehicle has more features than the first, whose scale it shares."""
     first = judged.vehicles["uav1"]

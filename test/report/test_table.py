@@ -85,6 +85,15 @@ def test_a_run_without_truth_is_judged_in_sentences(blind):
     assert row(text, "closures 7, re-initialisations 1, relocalisations 1, alarm left camera 2, dropped unpaired 2")
 
 
+def test_the_calibration_is_printed_as_last_estimated(pair):
+    """The last frame has no estimate of the clocks."""
+    frames = [frame(k, time_offset_s=-1e-3 * k, time_offset_sigma_s=1e-4 * (k < 2)) for k in range(3)]
+    assert row(judged(pair, frames), "calibration estimated: exposure -1.00 ± 0.10 ms from the stamp")
+    frames = [frame(0, disparity_error_px=0.25, disparity_error_sigma_px=0.01)]
+    assert row(judged(pair, frames), "calibration estimated: disparity off by +0.250 ± 0.010 px")
+    assert "calibration" not in judged(pair, [frame(0)])
+
+
 def test_the_verdict_names_side_and_size(pair):
     assert row(judged(pair, [frame(k, nis=400.0) for k in range(9)]), "over-confident", "above", "2 x claimed")
     assert row(judged(pair, [frame(k, nis=25.0) for k in range(9)]), "conservative", "below", "0.5 x claimed")

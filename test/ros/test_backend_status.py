@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Alarms of the back end last while what they warn of is recent."""
+"""Alarms of the back end last while what they warn of is recent; the estimated calibration is among its notes."""
 
+import dataclasses
 import logging
 from collections import Counter
 from collections.abc import Callable
@@ -10,6 +11,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 
+from uav_vslam.estimation.rig_belief import DisparityEstimate, TimeOffset  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ros.backend_status import MANY_BLIND, MANY_COASTED, BackendStatus  # noqa: E402
 from uav_vslam.ros.vehicle_node import VehicleNode  # noqa: E402
@@ -87,3 +89,13 @@ def test_a_warning_is_an_alarm_while_it_is_recent_and_stays_in_the_notes(node, r
     report(frame(RECENT_FRAMES))
     assert "warning" not in node.alarms
     assert node.notes["warning"] == "the second"
+
+
+def test_the_estimated_calibration_is_in_the_notes(node, report) -> None:
+    output, offset, disparity = frame(0), TimeOffset(-0.0155, 0.0002), DisparityEstimate(0.25, 0.01, 0.9)
+    report(output)
+    assert not node.notes.keys() & {"time_offset", "disparity_error"}
+    found = dataclasses.replace(output.report, time_offset=offset, disparity=disparity)
+    report(dataclasses.replace(output, report=found))
+    assert node.notes["time_offset"] == "-15.50 ± 0.20 ms"
+    assert node.notes["disparity_error"] == "+0.250 ± 0.010 px"

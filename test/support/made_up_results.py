@@ -35,7 +35,7 @@ def frame(k: int) -> FrameQuality:
     dark = k in DARK
     return FrameQuality(
         START_NS + PERIOD_NS * k, 90, 80, 25, 0, 60, dark, False, False, 0, 0.0 if dark else 90.0 + k,
-        0 if dark else 100, 0.99, ("<b>a problem</b>",) if k == 40 else (),
+        0 if dark else 100, 0.99, ("<b>a problem</b>",) if k == 40 else (), -2e-4, 1e-4, 0.02, 0.0 if dark else 0.01,
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ POSES = {
 }
 STATUS = "fusion/status"
 QUALITY = "slam/quality"
+CALIBRATION = ("time_offset_s", "time_offset_sigma_s", "disparity_error_px", "disparity_error_sigma_px")
 FRAMES = "left/camera_info"
 
 
@@ -170,6 +171,7 @@ def _frame_quality(built: Any) -> FrameQuality:
         dof=int(built.dof),
         gate_probability=float(built.gate_probability),
         events=tuple(built.events),
+        **{name: float(getattr(built, name, 0.0)) for name in CALIBRATION},  # older bags lack it
     )
 
 

@@ -18,7 +18,8 @@ FLAGS = ("coasted", "relocalised", "restarted")
 SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m", "sigma_heading_deg")  # claimed by S-SLAM
 NIS = ("nis", "dof", "nis_per_dof", "band_low", "band_high")  # empty for a frame without an update
 NEES = ("nees_position", "nees_rotation")  # over 3, of S-SLAM; empty without ground truth
-COLUMNS = ("stamp_ns", "time_s", *COUNTS, *FLAGS, *NIS, *SIGMAS, *NEES, "alarms", "events")
+CALIBRATION = ("time_offset_ms", "time_offset_sigma_ms", "disparity_error_px", "disparity_error_sigma_px")
+COLUMNS = ("stamp_ns", "time_s", *COUNTS, *FLAGS, *NIS, *SIGMAS, *NEES, *CALIBRATION, "alarms", "events")
 
 
 def write_frames(vehicle: VehicleResult, path: Path) -> None:
@@ -38,6 +39,7 @@ def write_frames(vehicle: VehicleResult, path: Path) -> None:
                     *_innovation(frame),
                     *sigmas.get(frame.stamp_ns, [""] * len(SIGMAS)),
                     *errors.get(frame.stamp_ns, [""] * len(NEES)),
+                    *_calibration(frame),
                     "; ".join(alarms),
                     "; ".join(frame.events),
                 ]
@@ -49,6 +51,13 @@ def _innovation(frame: FrameQuality) -> list[Any]:
         return [""] * len(NIS)
     low, high = innovation_bands(np.array([float(frame.dof)]), np.array([frame.gate_probability]))
     return [f"{frame.nis:.6g}", frame.dof, *(f"{value:.6g}" for value in (frame.nis / frame.dof, low[0], high[0]))]
+
+
+def _calibration(frame: FrameQuality) -> list[str]:
+    """Return the estimates with their standard deviations; empty where nothing is estimated."""
+    offset_ms = 1e3 * frame.time_offset_s, 1e3 * frame.time_offset_sigma_s
+    pairs = offset_ms, (frame.disparity_error_px, frame.disparity_error_sigma_px)
+    return [f"{value:.6g}" if sigma > 0 else "" for mean, sigma in pairs for value in (mean, sigma)]
 
 
 def _sigmas(vehicle: VehicleResult) -> dict[int, list[str]]:

@@ -45,6 +45,7 @@ def quality_figures(vehicle: VehicleResult) -> Figures | None:
         "closures": sum(frame.closures for frame in frames),
         "relocalisations": sum(frame.relocalised for frame in frames),
         "restarts": sum(frame.restarted for frame in frames),
+        "calibration": _calibration(frames),
         "events": [
             {"time_s": (frame.stamp_ns - start_ns) / NS_PER_S, "text": text}
             for frame in frames
@@ -52,6 +53,18 @@ def quality_figures(vehicle: VehicleResult) -> Figures | None:
         ],
         "alarms": None if vehicle.alarms is None else alarm_counts(vehicle.alarms),
         "dropped": dict(sorted(vehicle.dropped.items())),
+    }
+
+
+def _calibration(frames: Sequence[FrameQuality]) -> Figures:
+    """Return the last estimates of the calibration; None for what was not estimated."""
+    offset = next((frame for frame in reversed(frames) if frame.time_offset_sigma_s > 0), None)
+    disparity = next((frame for frame in reversed(frames) if frame.disparity_error_sigma_px > 0), None)
+    return {
+        "time_offset_ms": 1e3 * offset.time_offset_s if offset else None,
+        "time_offset_sigma_ms": 1e3 * offset.time_offset_sigma_s if offset else None,
+        "disparity_error_px": disparity.disparity_error_px if disparity else None,
+        "disparity_error_sigma_px": disparity.disparity_error_sigma_px if disparity else None,
     }
 
 

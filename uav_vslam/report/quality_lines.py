@@ -15,7 +15,7 @@ def quality_lines(vehicle: Figures) -> list[str]:
     if quality is None:
         return []
     lines = [innovation_line(quality), coasting_line(quality, vehicle["frames_processed"]), claim_line(vehicle)]
-    return [*lines, *health_lines(quality)]
+    return [*lines, *calibration_lines(quality.get("calibration", {})), *health_lines(quality)]
 
 
 def innovation_line(quality: Figures) -> str:
@@ -50,6 +50,16 @@ def claim_line(vehicle: Figures) -> str:
         f"{name} claims 1 sigma of {track['sigma_end_m']:.3g} m after {vehicle['distance_m']:.0f} m{growth}, "
         f"heading {track['sigma_heading_end_deg']:.3g} deg"
     )
+
+
+def calibration_lines(calibration: Figures) -> list[str]:
+    """Return what was found of the calibration in flight; nothing if it was not estimated, or by an older version."""
+    found = []
+    if (sigma_ms := calibration.get("time_offset_sigma_ms")) is not None:
+        found.append(f"exposure {calibration['time_offset_ms']:+.2f} ± {sigma_ms:.2f} ms from the stamp")
+    if (sigma_px := calibration.get("disparity_error_sigma_px")) is not None:
+        found.append(f"disparity off by {calibration['disparity_error_px']:+.3f} ± {sigma_px:.3f} px")
+    return [f"calibration estimated: {', '.join(found)}"] if found else []
 
 
 def health_lines(quality: Figures) -> list[str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frames of a flight over time, judged without ground truth: innovations, points, and what the filter claims."""
+"""The frames of a flight over time, judged without ground truth: innovations, points, claims, calibration."""
 
 from typing import Any
 
@@ -13,27 +13,34 @@ from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log
 from uav_vslam.types import NS_PER_S, FrameQuality
 
 COASTED, EVENT = "#f3c9c4", "#d62728"
+LABELS = ("NIS / dof", "Points", "1σ position [m]", "1σ heading [deg]")
+CALIBRATION = {  # fields of a frame: estimate, standard deviation, and by what they are multiplied
+    "Time offset ±1σ [ms]": ("time_offset_s", "time_offset_sigma_s", 1e3),
+    "Disparity error ±1σ [px]": ("disparity_error_px", "disparity_error_sigma_px", 1.0),
+}
 POINTS = {"features": LINE_COLOURS[6], "tracked": LINE_COLOURS[4], "associated": LINE_COLOURS[2]}
 
 
 def quality_plot(result: FlightResult) -> Figure | None:
-    """Return NIS, points and claimed standard deviations, a column per vehicle; None without records of frames.
+    """Return NIS, points, claims and the estimated calibration, a column per vehicle; None without records of frames.
 
     Frames that were coasted through are shaded, reported problems are dashed lines.
     """
     vehicles = [vehicle for vehicle in result.vehicles.values() if vehicle.frames]
     if not vehicles:
         return None
-    figure = Figure(figsize=(2.0 + 5.5 * len(vehicles), 8.0), layout="constrained")
-    grid = figure.subplots(4, len(vehicles), sharex="col", sharey="row", squeeze=False)
+    estimated = {label: fields for label, fields in CALIBRATION.items() if any(_has(v, fields[1]) for v in vehicles)}
+    labels = (*LABELS, *estimated)
+    figure = Figure(figsize=(2.0 + 5.5 * len(vehicles), 2.0 * len(labels)), layout="constrained")
+    grid = figure.subplots(len(labels), len(vehicles), sharex="col", sharey="row", squeeze=False)
     for column, vehicle in zip(grid.T, vehicles, strict=True):
-        _draw(column, vehicle)
+        _draw(column, vehicle, list(estimated.values()))
         column[0].set_title(vehicle.name)
         column[-1].set_xlabel("Time [s]")
     plain_log(grid[0, 0], "y")
-    for axes in grid[1:, 0]:
+    for axes in grid[1 : len(LABELS), 0]:
         axes.set_ylim(bottom=0)  # once all is drawn: the limit of a row is then kept
-    for axes, label in zip(grid[:, 0], ("NIS / dof", "Points", "1σ position [m]", "1σ heading [deg]"), strict=True):
+    for axes, label in zip(grid[:, 0], labels, strict=True):
         axes.set_ylabel(label)
     figure.suptitle(f"{result.name}: S-SLAM without ground truth; shaded: coasted, dashed: reported problem")
     handles, labels = grid[0, 0].get_legend_handles_labels()
@@ -42,7 +49,12 @@ def quality_plot(result: FlightResult) -> Figure | None:
     return figure
 
 
-def _draw(column: NDArray[Any], vehicle: VehicleResult) -> None:
+def _has(vehicle: VehicleResult, sigma: str) -> bool:
+    """Return whether any frame estimates what has that standard deviation."""
+    return any(getattr(frame, sigma) > 0 for frame in vehicle.frames or ())
+
+
+def _draw(column: NDArray[Any], vehicle: VehicleResult, estimated: list[tuple[str, str, float]]) -> None:
     frames, track = vehicle.frames or (), vehicle.s_slam
     start_ns = frames[0].stamp_ns
     seconds = np.array([(frame.stamp_ns - start_ns) / NS_PER_S for frame in frames])
@@ -57,6 +69,11 @@ def _draw(column: NDArray[Any], vehicle: VehicleResult) -> None:
         since_start = (track.stamps_ns - start_ns) / NS_PER_S
         column[2].plot(since_start, position_m, color="black", linewidth=1.3)
         column[3].plot(since_start, np.degrees(heading_rad), color="black", linewidth=1.3)
+    for axes, (name, sigma_name, scale) in zip(column[len(LABELS) :], estimated, strict=True):
+        mean, sigma = (scale * np.array([getattr(frame, field) for frame in frames]) for field in (name, sigma_name))
+        mean = np.where(sigma > 0, mean, np.nan)  # not estimated
+        axes.fill_between(seconds, mean - sigma, mean + sigma, color=BAND, linewidth=0)
+        axes.plot(seconds, mean, color="black", linewidth=1.3)
 
 
 def _draw_innovations(axes: Any, frames: tuple[FrameQuality, ...], seconds: NDArray[np.float64]) -> None:

@@ -33,6 +33,11 @@ class BackendStatus:
         node.notes["associated"] = str(report.associated)
         if report.innovation is not None:
             node.notes["nis_per_dof"] = f"{report.innovation.nis / max(report.innovation.dof, 1):.2f}"
+        if report.time_offset is not None:
+            offset = report.time_offset
+            node.notes["time_offset"] = f"{1e3 * offset.mean_s:+.2f} ± {1e3 * offset.sigma_s:.2f} ms"
+        if report.disparity is not None:
+            node.notes["disparity_error"] = f"{report.disparity.mean_px:+.3f} ± {report.disparity.sigma_px:.3f} px"
         for text in output.warnings:
             node.get_logger().warning(text)
             node.notes["warning"] = node.alarms["warning"] = text

@@ -23,4 +23,8 @@ def quality_to_msg(quality: FrameQuality, *, frame_id: str) -> FrameQualityMsg:
         dof=quality.dof,
         gate_probability=quality.gate_probability,
         events=list(quality.events),
+        time_offset_s=quality.time_offset_s,
+        time_offset_sigma_s=quality.time_offset_sigma_s,
+        disparity_error_px=quality.disparity_error_px,
+        disparity_error_sigma_px=quality.disparity_error_sigma_px,
     )

@@ -63,6 +63,7 @@ class FrameOutput:
     def quality(self) -> FrameQuality:
         """How the frame went, judged without ground truth."""
         report, innovation = self.report, self.report.innovation
+        offset, disparity = report.time_offset, report.disparity
         return FrameQuality(
             stamp_ns=report.pose.stamp_ns,
             features=report.features,
@@ -78,6 +79,10 @@ class FrameOutput:
             dof=innovation.dof if innovation else 0,
             gate_probability=report.gate_probability,
             events=self.warnings,
+            time_offset_s=offset.mean_s if offset else 0.0,
+            time_offset_sigma_s=offset.sigma_s if offset else 0.0,
+            disparity_error_px=disparity.mean_px if disparity else 0.0,
+            disparity_error_sigma_px=disparity.sigma_px if disparity else 0.0,
         )
 
 

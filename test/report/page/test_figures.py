@@ -61,6 +61,25 @@ def test_innovations_have_gaps_at_frames_without_update_which_are_marked(data: d
     assert [(mark["x"], mark["text"]) for mark in chart["marks"]] == [(4.0, "<b>a problem</b>")]
 
 
+def test_the_calibration_has_its_sigma_about_it_and_gaps_where_it_is_not_estimated(data: dict) -> None:
+    offset, disparity = data["calibration"]["cells"][0]["charts"]
+    np.testing.assert_allclose(lines(offset)["estimate"]["y"], -0.2)
+    np.testing.assert_allclose(
+        (offset["bands"][0]["low"], offset["bands"][0]["high"]), [[-0.3] * FRAMES, [-0.1] * FRAMES]
+    )
+    expected = [np.nan if k in DARK else 0.02 for k in range(FRAMES)]
+    np.testing.assert_allclose(np.array(lines(disparity)["estimate"]["y"], float), expected)
+
+
+def test_results_from_before_the_calibration_was_written_have_all_other_figures(tmp_path: Path) -> None:
+    folder = write_full(tmp_path)
+    for path in folder.glob("*_frames.csv"):
+        rows = [row.split(",") for row in path.read_text().splitlines()]
+        kept = [k for k, name in enumerate(rows[0]) if "time_offset" not in name and "disparity" not in name]
+        path.write_text("".join(",".join(row[k] for k in kept) + "\n" for row in rows))
+    assert list(figure_sections([read_flight(folder, "older")])[1]) == [key for key in FIGURES if key != "calibration"]
+
+
 def test_traffic_of_the_epochs_sums_to_that_since_the_start(data: dict) -> None:
     each, total = data["link"]["cells"][0]["charts"]
     np.testing.assert_allclose(np.cumsum(lines(each)["sent"]["y"]), lines(total)["sent"]["y"])

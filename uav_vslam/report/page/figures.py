@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from uav_vslam.report.page.charts import Chart, Data, chart_data, points_of_each
 from uav_vslam.report.page.error_charts import error_charts, nees_charts
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
-from uav_vslam.report.page.frame_charts import innovation_charts, link_charts, point_charts, sigma_charts, timing_charts
+from uav_vslam.report.page.frame_charts import (
+    calibration_charts,
+    innovation_charts,
+    link_charts,
+    point_charts,
+    sigma_charts,
+    timing_charts,
+)
 from uav_vslam.report.page.html import Markup, section, tag
 
 
@@ -50,6 +57,13 @@ FIGURES = {
         innovation_charts,
     ),
     "sigmas": Figure("Claimed uncertainty", "Claims", "Standard deviations that the estimates claim.", sigma_charts),
+    "calibration": Figure(
+        "Calibration in flight",
+        "Calibration",
+        "What S-SLAM has found of the calibration's errors: the exposure of the images minus their stamp, by the IMU's "
+        "clock, and a constant error of the disparity; bands: claimed standard deviations.",
+        calibration_charts,
+    ),
     "points": Figure(
         "Features and tracks",
         "Features",

@@ -64,6 +64,22 @@ def sigma_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     ]
 
 
+def calibration_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
+    """Return the errors of the calibration that were estimated, with their standard deviations."""
+    charts = []
+    for name, unit, label in (("time_offset", "ms", "Time offset [ms]"), ("disparity_error", "px", "Disparity [px]")):
+        if f"{name}_{unit}" not in vehicle.tables.get("frames", {}):  # older results lack it
+            continue
+        x, mean = _seconds(flight, vehicle, "frames"), _column(vehicle, "frames", f"{name}_{unit}")
+        rows = np.flatnonzero(np.isfinite(mean))
+        if len(rows) == 0:
+            continue
+        sigma = _column(vehicle, "frames", f"{name}_sigma_{unit}")[rows]
+        band = Band("±1σ", "band", x[rows], mean[rows] - sigma, mean[rows] + sigma)
+        charts.append(Chart(label, (Line("estimate", "track-s_slam", x, mean),), (band,)))
+    return charts
+
+
 def link_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the traffic of each epoch and its sum; none without packets."""
     if "link" not in vehicle.tables:
