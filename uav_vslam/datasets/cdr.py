@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from uav_vslam.errors import BagError
@@ -24,12 +24,14 @@ class RawMessage:
         topic, msgtype: name and type.
         stamp_ns: when it was recorded [ns].
         data: CDR bytes.
+        definition: of its type, as recorded; empty if it was not.
     """
 
     topic: str
     msgtype: str
     stamp_ns: int
     data: bytes
+    definition: str = ""
 
 
 @cache
@@ -76,11 +78,29 @@ def decode(raw: RawMessage) -> Any:
     Raises:
         BagError: the type is not known or the bytes do not fit it.
     """
-    require_type(raw.msgtype)
+    types = _types_of(raw.msgtype, raw.definition)
+    if types is typestore():
+        require_type(raw.msgtype)
     try:
-        return typestore().deserialize_cdr(raw.data, raw.msgtype)
+        return types.deserialize_cdr(raw.data, raw.msgtype)
     except Exception as error:  # rosbags' generated code raises many kinds of errors on wrong bytes
         raise BagError(f"{raw.topic} at {raw.stamp_ns} ns: not a valid {raw.msgtype} ({error})") from None
+
+
+@cache
+def _types_of(msgtype: str, recorded: str) -> Typestore:
+    """Return the present types; for one of ours that a bag defines otherwise, as an older version did, the bag's."""
+    if not msgtype.startswith(MESSAGE_PACKAGE) or not recorded:
+        return typestore()
+    if msgtype in typestore().types and recorded == definition(msgtype)[0]:
+        return typestore()
+    store = get_typestore(Stores.ROS2_JAZZY)
+    try:
+        found = get_types_from_msg(recorded, msgtype)
+    except TypesysError:
+        return typestore()
+    store.register({name: fields for name, fields in found.items() if name.startswith(MESSAGE_PACKAGE)})
+    return store
 
 
 def _message_folder() -> Path:

@@ -162,7 +162,8 @@ def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterat
         wanted = [c for c in reader.connections if topics is None or c.topic in topics]
         if wanted:  # an empty list would mean all
             for connection, stamp_ns, data in reader.messages(wanted):
-                yield RawMessage(connection.topic, connection.msgtype, stamp_ns, bytes(data))
+                recorded = connection.msgdef.data
+                yield RawMessage(connection.topic, connection.msgtype, stamp_ns, bytes(data), recorded)
 
 
 def _messages_of_ros1_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
@@ -189,9 +190,9 @@ def _open(file: Path, stack: ExitStack) -> Reader:
 
 
 def _messages_of_truncated_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
-    for found in readable_messages(file):
-        if topics is None or found.topic in topics:
-            yield RawMessage(found.topic, found.msgtype, found.stamp_ns, found.data)
+    for raw in readable_messages(file):
+        if topics is None or raw.topic in topics:
+            yield raw
 
 
 def _topics_of_truncated_file(file: Path) -> dict[str, TopicInfo]:

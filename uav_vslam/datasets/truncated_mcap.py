@@ -7,29 +7,20 @@ a payload. Messages, and the schemas and channels they refer to, are in chunks, 
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
-from mcap.records import Chunk
+from mcap.records import Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
+
+from uav_vslam.datasets.cdr import RawMessage
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
 RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQI")  # first stamp, last stamp, size, checksum; then the compression's name
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, recording stamp, publishing stamp
-
-
-@dataclass(frozen=True, slots=True)
-class McapMessage:
-    """One message: topic, type, recording stamp [ns] and CDR bytes."""
-
-    topic: str
-    msgtype: str
-    stamp_ns: int
-    data: bytes
 
 
 def is_truncated(file: Path) -> bool:
@@ -41,23 +32,25 @@ def is_truncated(file: Path) -> bool:
         return stream.read() != MAGIC
 
 
-def readable_messages(file: Path) -> Iterator[McapMessage]:
+def readable_messages(file: Path) -> Iterator[RawMessage]:
     """Yield every complete message in file order, then raise.
 
     Raises:
         EOFError: always, where the file ends.
         ValueError: not an mcap file.
     """
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
+    schemas: dict[int, tuple[str, str]] = {}
+    channels: dict[int, tuple[str, str, str]] = {}
     for opcode, payload in _records(file):
         if opcode == SCHEMA:
-            schemas[_number(payload, 0)] = _string(payload, 2)
+            schema = Schema.read(ReadDataStream(BytesIO(payload)))
+            schemas[schema.id] = schema.name, schema.data.decode(errors="replace")
         elif opcode == CHANNEL:
-            channels[_number(payload, 0)] = _string(payload, 4), schemas[_number(payload, 2)]
+            channels[_number(payload, 0)] = _string(payload, 4), *schemas[_number(payload, 2)]
         elif opcode == MESSAGE:
             channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(payload)
-            yield McapMessage(*channels[channel], stamp_ns, payload[MESSAGE_HEAD.size :])
+            topic, msgtype, definition = channels[channel]
+            yield RawMessage(topic, msgtype, stamp_ns, payload[MESSAGE_HEAD.size :], definition)
 
 
 def _records(file: Path) -> Iterator[tuple[int, bytes]]:
