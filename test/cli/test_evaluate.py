@@ -150,7 +150,8 @@ def test_recorded_frames_are_judged_without_truth(tmp_path, capsys):
                 "uav_vslam_msgs/msg/FrameQuality", header=built.header, features=300, tracked=200, associated=25,
                 downweighted=1, landmarks=80, coasted=coasted, relocalised=False, restarted=k == 12,
                 closures=2 * (k == 5), nis=100.0 * (not coasted), dof=100 * (not coasted), gate_probability=0.99,
-                events=["lost"] * (k == 12),
+                events=["lost"] * (k == 12), time_offset_s=-0.0155, time_offset_sigma_s=2e-4, disparity_error_px=0.0,
+                disparity_error_sigma_px=0.0,
             )  # fmt: skip
             bag.write("/uav1/slam/quality", "uav_vslam_msgs/msg/FrameQuality", encode(quality), stamp_ns)
     assert run(tmp_path / "estimates", "--results", tmp_path / "results", "--no-plots") == 0
@@ -160,7 +161,11 @@ def test_recorded_frames_are_judged_without_truth(tmp_path, capsys):
     assert (quality["frames_coasted"], quality["coasted_longest"], quality["nis_per_dof"]) == (3, 2, 1.0)
     assert quality["events"] == [{"time_s": pytest.approx(1.2), "text": "lost"}]
     assert quality["alarms"] is None
-    assert "consistent: NIS/dof 1 in" in capsys.readouterr().out
+    assert quality["calibration"]["time_offset_ms"] == pytest.approx(-15.5)
+    assert quality["calibration"]["disparity_error_px"] is None
+    printed = capsys.readouterr().out
+    assert "consistent: NIS/dof 1 in" in printed
+    assert "calibration estimated: exposure -15.50 ± 0.20 ms from the stamp\n" in printed
     rows = (tmp_path / "results" / "latest" / "uav1_frames.csv").read_text().splitlines()
     assert len(rows) == FRAMES + 1
 
