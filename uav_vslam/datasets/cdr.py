@@ -3,7 +3,7 @@
 
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ class RawMessage:
     msgtype: str
     stamp_ns: int
     data: bytes
-    definition: str = ""
+    definition: str = field(default="", compare=False)  # texts of the same type differ in comments
 
 
 @cache

@@ -63,8 +63,8 @@ def test_the_page_has_a_section_for_all_that_the_folder_holds(full: Path) -> Non
     assert page == full / NAME
     assert page.stat().st_size < LARGEST_BYTES
     assert read(page).sections == [
-        *("views", "scores", "quality", "errors", "nees", "innovations", "sigmas", "points", "link", "timing"),
-        *("drops", "map", "configuration"),
+        *("views", "scores", "quality", "errors", "nees", "innovations", "sigmas", "calibration", "points", "link"),
+        *("timing", "drops", "map", "configuration"),
     ]
 
 
