@@ -15,7 +15,7 @@ from uav_vslam.cli.main import main
 from uav_vslam.config import BackendConfig, load_fleet
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.flight_writer import ImageCoding
-from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
+from uav_vslam.datasets.outputs import CALIBRATION, RecordedOutputs, read_outputs
 from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.evaluation.output import ALL_TRACKS
 from uav_vslam.evaluation.summary import build_summary
@@ -38,9 +38,8 @@ EUROC_FIRST_FRAMES = 8  # the gap of 7.3 s is after the first
 POSITION_M = 1e-9
 ROTATION_RAD = 1e-12
 COVARIANCE_RATIO = 1e-9  # of the largest entry
-COMPUTED = ("nis", "time_offset_s", "time_offset_sigma_s", "disparity_error_px", "disparity_error_sigma_px")
-RATIO = 1e-6  # innovations of 0.05 px are differences of pixels near 400
-CALIBRATION = 1e-9  # [s], [px]: errors near zero
+NIS_RATIO = 1e-6  # innovations of 0.05 px are differences of pixels near 400
+CALIBRATION_ERROR = 1e-9  # [s], [px]
 
 # Room for another machine's image decoder and BLAS; measured: ATE 0.031 m, NEES 1.6, one frame without association.
 EUROC_ATE_M = 0.20
@@ -129,9 +128,10 @@ def assert_parity(outputs: dict[str, RecordedOutputs], case: Case) -> None:
         assert_same(outputs[name].fused, case.cooperative[name].poses)
         assert_same(outputs[name].dead_reckoning, [output.dead_reckoning.pose for output in track.outputs])
         for a, b in zip(outputs[name].frames, (output.quality for output in track.outputs), strict=True):
-            assert dataclasses.replace(a, **{name: getattr(b, name) for name in COMPUTED}) == b
-            computed, expected = ([getattr(frame, name) for name in COMPUTED] for frame in (a, b))
-            assert computed == pytest.approx(expected, rel=RATIO, abs=CALIBRATION)
+            assert dataclasses.replace(a, nis=b.nis, **{name: getattr(b, name) for name in CALIBRATION}) == b
+            assert a.nis == pytest.approx(b.nis, rel=NIS_RATIO)
+            estimated, expected = ([getattr(frame, name) for name in CALIBRATION] for frame in (a, b))
+            assert estimated == pytest.approx(expected, rel=0.0, abs=CALIBRATION_ERROR)
 
 
 @pytest.mark.ros

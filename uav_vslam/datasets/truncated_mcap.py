@@ -11,7 +11,7 @@ from io import BytesIO
 from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
-from mcap.records import Chunk, Schema
+from mcap.records import Channel, Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
 from uav_vslam.datasets.cdr import RawMessage
@@ -46,7 +46,8 @@ def readable_messages(file: Path) -> Iterator[RawMessage]:
             schema = Schema.read(ReadDataStream(BytesIO(payload)))
             schemas[schema.id] = schema.name, schema.data.decode(errors="replace")
         elif opcode == CHANNEL:
-            channels[_number(payload, 0)] = _string(payload, 4), *schemas[_number(payload, 2)]
+            found = Channel.read(ReadDataStream(BytesIO(payload)))
+            channels[found.id] = found.topic, *schemas[found.schema_id]
         elif opcode == MESSAGE:
             channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(payload)
             topic, msgtype, definition = channels[channel]
@@ -89,10 +90,6 @@ def _chunk_records(payload: bytes, *, whole: bool) -> Iterator[tuple[int, bytes]
             return
         yield opcode, data[at : at + length]
         at += length
-
-
-def _number(payload: bytes, at: int) -> int:
-    return int.from_bytes(payload[at : at + 2], "little")
 
 
 def _string(payload: bytes, at: int) -> str:

@@ -536,11 +536,11 @@ class Filter:
         prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
         if abs(np.log(variance / prior)) < PRIOR_TOLERANCE:
             return
-        change = 1.0 / variance - 1.0 / prior
+        row, change = self._errors.disparity.start, 1.0 / variance - 1.0 / prior
         with _stamped(self.nav.stamp_ns):
-            belief = self.belief.information_changed(self._errors.disparity.start, change)
+            belief = self.belief.information_changed(row, change)
             self._set_disparity_prior(variance)
-            self.correct(belief, -change * mean * belief.column(self._errors.disparity.start))
+            self.correct(belief, -change * mean * belief.column(row))
 
     @property
     def disparity_prior(self) -> DisparityPrior:
