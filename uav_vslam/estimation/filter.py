@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One filter over a vehicle and its landmarks, for every form of the belief and every linearisation.
 
-A `Mean` is what is estimated; a `Belief` holds the Gaussian over its errors, in the coordinates of a `Chart`; a
-`Linearisation` supplies F, Q, H and R. The thesis's four filters differ only in belief and linearisation:
+A `JointState` is what is estimated, with the belief over its errors; a `Linearisation` supplies F, Q, H and R. The
+thesis's four filters differ only in belief and linearisation:
 
     ekf   covariance form     Jacobians       section 4.2
     eif   information form    Jacobians       section 4.5
@@ -12,22 +12,21 @@ A `Mean` is what is estimated; a `Belief` holds the Gaussian over its errors, in
 
 import copy
 import dataclasses
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, Self
+from collections.abc import Callable
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
-from uav_vslam.errors import CalibrationError, FilterDivergence
+from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
 from uav_vslam.estimation.covariance import CovarianceBelief
-from uav_vslam.estimation.disparity_prior import DisparityPrior
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.estimation.iterated_update import Correction, iterated
+from uav_vslam.estimation.joint_state import JointState, stamped
 from uav_vslam.estimation.linearisation import (
     Camera,
     Jacobians,
@@ -36,20 +35,10 @@ from uav_vslam.estimation.linearisation import (
     camera_points,
     pixel_jacobians,
 )
-from uav_vslam.estimation.mean import Chart, Mean
-from uav_vslam.estimation.models import MODELS, POSE, StateModel
+from uav_vslam.estimation.mean import Mean
+from uav_vslam.estimation.models import POSE
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
-from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPoses
-from uav_vslam.estimation.rig_belief import (
-    DisparityEstimate,
-    TimeOffset,
-    claimed_belief,
-    claimed_covariance,
-    claimed_variance,
-    disparity_variance,
-    rig_evidence,
-)
-from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.estimation.past_poses import COPY_VARIANCE
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
@@ -58,19 +47,18 @@ from uav_vslam.estimation.weighted_update import Innovation, huber_weights, whit
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
 from uav_vslam.ins.propagation import ROTATION
-from uav_vslam.numerics import cholesky, submatrix, symmetrise
-from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseEstimate
+from uav_vslam.numerics import submatrix, symmetrise
+from uav_vslam.types import ImuIncrement, NavEstimate
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FEW = 12  # landmarks that may be in a line
 AMBIGUOUS_RAD = 0.1  # of an unknown tilt, and of a shift as a share of the depth
-PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
 
 
-class Filter:
-    """`belief` is the Gaussian over the errors of `mean`, with the rows that `Chart` gives them.
+class Filter(JointState):
+    """Predicts over inertial increments and updates with landmarks and tracks.
 
     `sigma_px`, the standard deviation of each pixel coordinate, may be set at any time.
     """
@@ -107,71 +95,15 @@ class Filter:
             rig_config: uncertainty of the calibration; an exact one unless given.
             track_sigma_px: standard deviation of a tracked point's right pixel about the left one, see `tracks`.
         """
+        super().__init__(initial, rig, model, form, rig_config or EXACT_RIG)
         self.imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
-        state_model = MODELS[model]()
-        self._chart = Chart(state_model, RigErrors(rig, rig_config or EXACT_RIG, state_model.nav_dim))
         self.sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
         self._turning: Turning | None = None  # at the end of the last increment
         self._gusts = Gusts()
         self.track_sigma_px = track_sigma_px
         self._of_tracks: VehicleObservation | None = None  # for the next update
-        self.mean = Mean.at_start(initial.state)
-        self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
-        self.miscalibrated = self._errors.disparity_prior.probability
-        C = self._model.from_map(initial.state)
-        self.belief: Belief = form.from_covariance(self._with_rig_prior(C @ initial.covariance @ C.T))
         self.feasibility = np.inf  # ratio of gamma^2 to the least feasible one of the H-infinity bound
-
-    @property
-    def nav(self) -> NavState:
-        """Mean of the navigation state."""
-        return self.mean.nav
-
-    @property
-    def rig_state(self) -> RigState:
-        """Mean of the rig's errors."""
-        return self.mean.rig
-
-    @property
-    def past(self) -> PastPoses:
-        """Mean of the past poses."""
-        return self.mean.past
-
-    @property
-    def landmarks(self) -> Array:
-        """Mean of the (N, 3) landmarks in the map frame [m]."""
-        return self.mean.landmarks
-
-    @property
-    def _model(self) -> StateModel:
-        return self._chart.model
-
-    @property
-    def _errors(self) -> RigErrors:
-        return self._chart.errors
-
-    @property
-    def rig(self) -> StereoRig:
-        """The rig with its estimated errors.
-
-        Raises:
-            FilterDivergence: no camera has these.
-        """
-        return self._rig_with(self.rig_state)
-
-    def _rig_with(self, state: RigState) -> StereoRig:
-        if self._rig_at is not state:  # cached: asked for a dozen times a frame
-            try:
-                self._rig_at, self._rig = state, self._errors.rig(state)
-            except CalibrationError as error:
-                raise FilterDivergence(f"errors of the calibration: {error}") from error
-        return self._rig
-
-    @property
-    def vehicle(self) -> int:
-        """Number of rows of the vehicle in the error."""
-        return self._chart.vehicle(self.mean)
 
     @property
     def can_add_landmarks(self) -> bool:
@@ -181,10 +113,6 @@ class Filter:
         on, whether propagated over it or given it by `starts` or `ends`.
         """
         return not self._errors.has_time_offset or self._turning is not None
-
-    def covariance(self) -> Array:
-        """Return (vehicle + 3N, vehicle + 3N), the full covariance in the model's coordinates."""
-        return self.belief.covariance(np.arange(len(self.landmarks))).copy()
 
     def starts(self, increment: ImuIncrement) -> None:
         """Take over how the vehicle turns at the start of an increment, where the estimate is."""
@@ -204,7 +132,7 @@ class Filter:
             self._gusts = self._gusts.added(self._turning, Turning.at_start(increment, self.nav))
         if later_s > 0.0:  # the readings at the exposure have come only now
             self.starts(increment)
-        with _stamped(increment.stamp_ns):
+        with stamped(increment.stamp_ns):
             process = self._linear.process(self._model, self.nav, self.belief, increment, self.imu)
             F, Q = np.eye(self._chart.present), np.zeros((self._chart.present, self._chart.present))
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q
@@ -225,11 +153,6 @@ class Filter:
         self.belief = self.belief.cloned(POSE, COPY_VARIANCE)
         self._set_mean(past=self.past.followed_by(self.nav, self._turning or Turning.none()))
 
-    def past_estimate(self, number: int) -> PoseEstimate:
-        """Return a past pose, as later frames have corrected it, with its covariance."""
-        P = submatrix(self._claimed_covariance(), self._chart.past_rows(np.array([number])))
-        return PoseEstimate(int(self.past.stamps_ns[number]), self.past.pose(number), symmetrise(P))
-
     def observe_tracks(
         self, tracks: Tracks, *, probability: float, become_landmarks: Mask, others: Callable[[], Tracks] | None = None
     ) -> Mask:
@@ -246,7 +169,7 @@ class Filter:
         """
         if len(tracks) == 0:
             return np.zeros(0, bool)
-        with _stamped(self.nav.stamp_ns):
+        with stamped(self.nav.stamp_ns):
             P, first = self.belief.covariance(NO_ROWS), self._linearised_tracks(tracks, self.mean)
             passed = trusted(
                 first.seen,
@@ -296,7 +219,7 @@ class Filter:
     def without_landmarks(self) -> Self:
         """Return a copy of the vehicle alone: with its marginal covariance, an update costs nothing for landmarks."""
         other = copy.copy(self)
-        with _stamped(self.nav.stamp_ns):
+        with stamped(self.nav.stamp_ns):
             other.belief = CovarianceBelief(self.belief.covariance(NO_ROWS), self.vehicle)
         other.mean = self.mean.without_landmarks()
         return other
@@ -307,7 +230,7 @@ class Filter:
 
     def predict_observations(self, landmarks: Indices) -> PredictedObservation:
         """Predict stereo observations of landmarks; they must be projectable."""
-        with _stamped(self.nav.stamp_ns):
+        with stamped(self.nav.stamp_ns):
             return self._predicted(landmarks, self.belief)
 
     def joint_innovation(self, landmarks: Indices, pixels: Array) -> tuple[Array, Array]:
@@ -347,7 +270,7 @@ class Filter:
             weights: (M,) divide the noise variance; None for ones.
         """
         weights = np.ones(len(landmarks)) if weights is None else weights
-        with _stamped(self.nav.stamp_ns):
+        with stamped(self.nav.stamp_ns):
             found = self._correction(landmarks, pixels, weights, linearise_at)
             if self._of_tracks is None and self._model.invariant and len(landmarks):
                 found = iterated(
@@ -429,7 +352,7 @@ class Filter:
         Returns:
             (T,) which have passed: these are appended to the landmarks, the others are not used.
         """
-        with _stamped(self.nav.stamp_ns):
+        with stamped(self.nav.stamp_ns):
             prior = self._move_linearisation(at)
             tracks = self._linearised_tracks(points, self.mean)
             P = submatrix(self.belief.covariance(NO_ROWS), tracks.rows)
@@ -478,112 +401,6 @@ class Filter:
         self._set_mean(landmarks=np.vstack([self.landmarks, landmarks]))
         return triangulated
 
-    def marginalise(self, landmarks: Indices, past: Indices = NO_ROWS) -> None:
-        """Marginalise landmarks and past poses out of the state."""
-        with _stamped(self.nav.stamp_ns):
-            self.belief = self.belief.marginalised(landmarks, self._chart.past_rows(past))
-        self._set_mean(landmarks=np.delete(self.landmarks, landmarks, axis=0), past=self.past.without(past))
-
-    def nav_estimate(self, *, as_calibrated: bool = False) -> NavEstimate:
-        """Return the navigation state with its (15, 15) map-frame covariance, zero for states the model lacks.
-
-        Args:
-            as_calibrated: with the covariance that it has if the calibration is right, without the uncertainty of that.
-
-        Raises:
-            FilterDivergence: the covariance is not positive definite.
-        """
-        C, nav_dim = self._model.to_map(self.nav), self._model.nav_dim
-        with _stamped(self.nav.stamp_ns):
-            P = self.belief.covariance(NO_ROWS) if as_calibrated else self._claimed_covariance()
-            P = P[:nav_dim, :nav_dim]
-            cholesky(P, "covariance of the navigation state")
-        return NavEstimate(self.nav, symmetrise(C @ P @ C.T))
-
-    def pose_landmark_information(self) -> Array:
-        """Return (6+3N, 6+3N) information over position, xi and landmarks, the rest of the state marginalised."""
-        nav_dim, m = self._model.nav_dim, self.vehicle
-        C = self._model.to_map(self.nav)[:nav_dim]
-        rows = np.concatenate([POSE, np.arange(m, self.belief.size)])
-        with _stamped(self.nav.stamp_ns):
-            belief = claimed_belief(self.belief, self._errors, self.rig_state)
-            return belief.predicted(C, np.zeros((nav_dim, nav_dim))).information(rows)
-
-    def _claimed_covariance(self) -> Array:
-        return claimed_covariance(self.belief, self._errors, self.rig_state)
-
-    def rig_evidence(self) -> float:
-        """Return how strongly the data contradict the calibration, see `rig_belief.rig_evidence`."""
-        return rig_evidence(self.belief, self._errors, self.rig_state)
-
-    def judge_disparity(self) -> None:
-        """Exchange the prior of the disparity's error for what the measurements make of it, see `DisparityPrior`."""
-        if not self._errors.has_disparity:
-            return
-        prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
-        variance = disparity_variance(self.belief, self._errors)
-        self.miscalibrated, now = self._errors.disparity_prior.given(mean, variance, prior=prior)
-        self.expect_disparity(now)
-
-    def expect_disparity(self, variance: float) -> None:
-        """Exchange the prior of the disparity's error, if that is a state, as if the estimate had begun with this one.
-
-        Args:
-            variance: [px^2].
-        """
-        if not self._errors.has_disparity:
-            return
-        prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
-        if abs(np.log(variance / prior)) < PRIOR_TOLERANCE:
-            return
-        row, change = self._errors.disparity.start, 1.0 / variance - 1.0 / prior
-        with _stamped(self.nav.stamp_ns):
-            belief = self.belief.information_changed(row, change)
-            self._set_disparity_prior(variance)
-            self.correct(belief, -change * mean * belief.column(row))
-
-    @property
-    def disparity_prior(self) -> DisparityPrior:
-        """What is known of the disparity's error before the flight."""
-        return self._errors.disparity_prior
-
-    def _set_disparity_prior(self, variance: float) -> None:
-        self._chart = dataclasses.replace(self._chart, errors=self._errors.with_disparity_variance(variance))
-
-    def forget_disparity(self) -> None:
-        """Know no more of the disparity's error than before the flight."""
-        if not self._errors.has_disparity:
-            return
-        variance = self._errors.disparity_prior.variance
-        with _stamped(self.nav.stamp_ns):
-            self.belief = self.belief.reset_rows(np.array([self._errors.disparity.start]), variance)
-        self._set_disparity_prior(variance)
-        self._set_mean(rig=dataclasses.replace(self.rig_state, disparity_px=0.0))
-
-    def expect_time_offset(self, mean_s: float) -> None:
-        """Move the offset of the cameras' clock [s], if it is a state, and what depends on it; no variance changes."""
-        change_s = mean_s - self.rig_state.time_offset_s
-        if self._errors.has_time_offset and change_s:  # a change takes a factor
-            row = self._errors.time_offset.start
-            column = self.belief.column(row)
-            self.correct(self.belief, column / column[row] * change_s)
-
-    @property
-    def time_offset(self) -> TimeOffset | None:
-        """The offset of the cameras' clock; None if it is no state."""
-        if not self._errors.has_time_offset:
-            return None
-        row = self._errors.time_offset.start
-        return TimeOffset(self.rig_state.time_offset_s, float(self.belief.covariance(NO_ROWS)[row, row]) ** 0.5)
-
-    @property
-    def disparity(self) -> DisparityEstimate | None:
-        """What is known of the disparity's error; None if it is no state."""
-        if not self._errors.has_disparity:
-            return None
-        claimed = claimed_variance(disparity_variance(self.belief, self._errors), self._errors, self.rig_state)
-        return DisparityEstimate(self.rig_state.disparity_px, claimed**0.5, self.miscalibrated)
-
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
         return self._linear.observation(
             self._camera(), landmarks, self.landmarks[landmarks], belief.marginals(landmarks)
@@ -619,35 +436,3 @@ class Filter:
             return update, NO_ROWS
         observation = whitened(predicted, nu, huber * weights, of_vehicle=self._of_tracks)
         return self.belief.updated(observation), np.flatnonzero(huber < 1.0)
-
-    def _with_rig_prior(self, P_nav: Array) -> Array:
-        nav_dim = self._model.nav_dim
-        P = np.zeros((self.vehicle, self.vehicle))
-        P[:nav_dim, :nav_dim] = symmetrise(P_nav)
-        P[nav_dim:, nav_dim:] = self._errors.prior_covariance
-        return P
-
-    def _move_linearisation(self, T_map_body: Pose) -> Array:
-        """Move the linearisation point and return the prior mean as an error from it."""
-        prior = self.mean
-        self.mean = prior.at(T_map_body)
-        self.belief = self._chart.transported(self.belief, prior, self.mean)
-        return self._chart.local(self.mean, prior)
-
-    def _set_mean(self, **parts: Any) -> None:
-        """Exchange parts of the mean."""
-        self.mean = dataclasses.replace(self.mean, **parts)
-
-    def correct(self, belief: Belief, delta: Array) -> None:
-        """Move the mean by (vehicle + 3N,) `delta` and set the belief over the remaining error."""
-        before, self.mean = self.mean, self._chart.retract(self.mean, delta)
-        self.belief = self._chart.transported(belief, before, self.mean)
-
-
-@contextmanager
-def _stamped(stamp_ns: int) -> Iterator[None]:
-    """Add the time to a `FilterDivergence`; numpy's `LinAlgError` becomes one."""
-    try:
-        yield
-    except (FilterDivergence, np.linalg.LinAlgError) as error:
-        raise FilterDivergence(f"at {stamp_ns / NS_PER_S:.3f} s: {error}") from error
