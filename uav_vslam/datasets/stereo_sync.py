@@ -32,29 +32,24 @@ class StereoPair(Generic[T]):
 
 
 class PairTolerance:
-    """Largest difference between the stamps of a pair: as set, or half of the median period of the left images."""
+    """Largest difference between the stamps of a pair: as set, or half of the median period of the left images.
+
+    Attributes:
+        ns: its value after the images so far [ns].
+    """
 
     def __init__(self, set_ns: int) -> None:
         """Set up; 0 for the default, which is at most `LARGEST_TOLERANCE_NS`."""
-        self._set_ns = set_ns
+        self._is_set, self.ns = set_ns > 0, set_ns or EARLY_TOLERANCE_NS
         self._periods_ns: deque[int] = deque(maxlen=PERIODS[1])
         self._newest_ns: int | None = None
 
-    @property
-    def ns(self) -> int:
-        """Its value after the images so far [ns]."""
-        if self._set_ns:
-            return self._set_ns
-        if len(self._periods_ns) < PERIODS[0]:
-            return EARLY_TOLERANCE_NS
-        return min(LARGEST_TOLERANCE_NS, round(statistics.median(self._periods_ns) / 2))
-
     def add_left(self, stamp_ns: int) -> None:
         """Count the period from the previous left image to this one, unless the clock jumped in between."""
-        if self._newest_ns is not None and stamp_ns == self._newest_ns:
-            return
-        if self._newest_ns is not None and stamp_ns - self._newest_ns > 0:
+        if self._newest_ns is not None and stamp_ns > self._newest_ns:
             self._periods_ns.append(stamp_ns - self._newest_ns)
+            if len(self._periods_ns) >= PERIODS[0] and not self._is_set:
+                self.ns = min(LARGEST_TOLERANCE_NS, round(statistics.median(self._periods_ns) / 2))
         self._newest_ns = stamp_ns
 
 
