@@ -4,6 +4,7 @@
 import dataclasses
 
 import numpy as np
+from fed_stage import feed
 from flown_copy import copy_of
 
 from uav_vslam.ins.increments import unknown_motion
@@ -19,13 +20,8 @@ SEEDS = range(300, 305)
 
 def fly(stage: SlamStage, flight, frames: range, lost: range = range(0)) -> list[FrameOutput]:
     """Fly some frames, without the increments of the lost ones."""
-    outputs: list[FrameOutput] = []
-    for k in frames:
-        features, increment = flight.frames[k]
-        stage.add_features(features)
-        if increment is not None and k not in lost:
-            stage.add_increment(increment)
-        outputs += stage.run()
+    given = [(features, None if k in lost else increment) for k, (features, increment) in enumerate(flight.frames)]
+    outputs = feed(stage, given[frames.start : frames.stop])
     assert stage.dropped["motion_lost"] == len(lost)
     return outputs
 

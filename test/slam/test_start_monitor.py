@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from fed_stage import feed
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.config.vehicle import START_METHODS, StartConfig
@@ -44,11 +45,7 @@ def warnings_of(flight, initial: NavEstimate, method: str = "given") -> list[str
 def outputs_of(stage: SlamStage, flight, initial: NavEstimate) -> list[FrameOutput]:
     """Fly from a start state."""
     stage.start(initial)
-    for features, increment in flight.frames:
-        stage.add_features(features)
-        if increment is not None:
-            stage.add_increment(increment)
-    return list(stage.run())
+    return feed(stage, flight.frames)
 
 
 def moved(initial: NavEstimate, *, velocity=ZERO, rotation_deg=ZERO) -> NavEstimate:
