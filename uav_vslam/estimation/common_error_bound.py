@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, unpack_lower
-from uav_vslam.numerics import is_positive_definite, symmetrise
+from uav_vslam.numerics import inverse_spd, is_positive_definite, solve_spd, symmetrise
 
 Array = NDArray[np.float64]
 
@@ -79,24 +79,26 @@ def _smallest_unit_bound(P: Array, Q: Array) -> tuple[Array, Array]:
 def _newton_step(P: Array, Q: Array, common: Array, own: Array, t: float) -> tuple[Array, Array, float]:
     """Return the steps of X_0 and X_i, and the Newton decrement squared."""
     n, k = len(own), len(common)
-    M = _inverse(Q @ common @ Q.T + block_diagonal(own) - P)
-    G_00, G_0i = Q.T @ M @ Q, (Q.T @ M).reshape(k, n, 3).transpose(1, 0, 2)
-    G_ij = M.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
+    M = inverse_spd(Q @ common @ Q.T + block_diagonal(own) - P, "excess of a bound")
+    G_00, G_0i = Q.T @ M @ Q, (Q.T @ M).reshape(k, n, 3).transpose(0, 2, 1)
     inverse_common, inverse_own = _inverse(common), _inverse(own)
     S_k, S_3 = _symmetric_basis(k), _symmetric_basis(3)
 
     gradient_common = np.einsum("aij,ij->a", S_k, t * np.eye(k) - G_00 - inverse_common)
-    gradient_own = np.einsum("aij,nij->na", S_3, t * np.eye(3) - diagonal_blocks(M) - inverse_own)
-    H_00 = _curvature(G_00) + _curvature(inverse_common)
-    H_0i = _curvature(G_0i).transpose(1, 0, 2).reshape(len(S_k), -1)
-    H_ij = _curvature(G_ij)
-    H_ij[np.arange(n), np.arange(n)] += _curvature(inverse_own)
-    H = np.block([[H_00, H_0i], [H_0i.T, H_ij.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n)]])
+    gradient_own = np.einsum("aij,nij->an", S_3, t * np.eye(3) - diagonal_blocks(M) - inverse_own)
+    m = len(S_k)
+    H = np.empty((m + 6 * n,) * 2)  # of X_0, then of all X_i: element by element, of each all landmarks
+    H[:m, :m] = _curvature(G_00) + _curvature(inverse_common)
+    H[:m, m:] = _curvature(G_0i).reshape(m, 6 * n)
+    H[m:, :m] = H[:m, m:].T
+    _set_curvature(H[m:, m:], M)
+    rows = m + np.arange(6 * n).reshape(6, n)
+    H[rows[:, None], rows[None]] += _curvature(inverse_own.transpose(1, 2, 0))
 
     gradient = np.concatenate([gradient_common, gradient_own.ravel()])
-    step = -np.linalg.solve(H, gradient)
-    steps_own = np.einsum("na,aij->nij", step[len(S_k) :].reshape(n, 6), S_3)
-    return np.einsum("a,aij->ij", step[: len(S_k)], S_k), steps_own, float(-gradient @ step)
+    step = -solve_spd(H, gradient, "curvature of a bound's cost")
+    steps_own = np.einsum("an,aij->nij", step[m:].reshape(6, n), S_3)
+    return np.einsum("a,aij->ij", step[:m], S_k), steps_own, float(-gradient @ step)
 
 
 def _line_search(P: Array, Q: Array, common: Array, own: Array, step_common: Array, step_own: Array) -> tuple:
@@ -116,15 +118,27 @@ def _line_search(P: Array, Q: Array, common: Array, own: Array, step_common: Arr
 
 
 def _curvature(G: Array) -> Array:
-    """Return (..., A, B) of trace(S_a G S_b G^T) over the bases of symmetric matrices, for G (..., n_a, n_b).
+    """Return (A, B, ...) of trace(S_a G S_b G^T) over the bases of symmetric matrices, for G (n_a, n_b, ...).
 
-    S_a has ones at (p, q) and (q, p), and both contribute the same: sum over (r, s) of G_pr S_b,rs G_qs.
+    S_a has ones at (p, q) and (q, p), S_b at (r, s) and (s, r): the trace is 2 (G_pr G_qs + G_ps G_qr), halved for each
+    of the two that has a single one.
     """
-    n_a, n_b = G.shape[-2:]
-    p, q = _lower(n_a)
-    pairs = G[..., p, :, None] * G[..., q, None, :]
-    summed = pairs.reshape(*pairs.shape[:-2], -1) @ _symmetric_basis(n_b).reshape(-1, n_b * n_b).T
-    return np.asarray(np.where(p == q, 1.0, 2.0)[:, None] * summed)
+    (p, q), (r, s) = _lower(G.shape[0]), _lower(G.shape[1])
+    of_p, of_q = G[p], G[q]
+    factor = 2.0 * np.outer(np.where(p == q, 0.5, 1.0), np.where(r == s, 0.5, 1.0))
+    return factor.reshape(factor.shape + (1,) * (G.ndim - 2)) * (of_p[:, r] * of_q[:, s] + of_p[:, s] * of_q[:, r])
+
+
+def _set_curvature(H: Array, M: Array) -> None:
+    """Set H (6n, 6n) to the `_curvature` of all 3x3 blocks of M (3n, 3n), row by row to stay in the cache."""
+    n, (r, s) = len(M) // 3, _lower(3)
+    G = np.ascontiguousarray(M.reshape(n, 3, n, 3).transpose(1, 3, 0, 2))
+    share = np.where(r == s, 0.5, 1.0)
+    for a, (p, q) in enumerate(zip(r, s, strict=True)):
+        row = G[p, r] * G[q, s]
+        row += G[p, s] * G[q, r]
+        row *= (2.0 * share[a] * share)[:, None, None]
+        H[n * a : n * (a + 1)] = row.transpose(1, 0, 2).reshape(n, 6 * n)
 
 
 @functools.cache
