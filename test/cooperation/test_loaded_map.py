@@ -61,7 +61,7 @@ def fuse(own: JointInformation, *packets: LandmarkPacket, loaded: SavedMap | Non
 
 def saved_map(joint: JointInformation, *, sources: tuple[str, ...] = ()) -> SavedMap:
     """Return a map with the landmarks of a belief."""
-    place = MappedPlace(
+    place = MappedPlace.of(
         joint.ids,
         joint.positions,
         joint.covariance[6:, 6:],

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from uav_vslam.config import StartConfig, VehicleConfig  # noqa: E402
 from uav_vslam.ins.preintegration import preintegrate  # noqa: E402
 from uav_vslam.offline.track import track_vehicle  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
+from uav_vslam.ros.executor import LeanExecutor  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks  # noqa: E402
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet  # noqa: E402
@@ -30,6 +31,7 @@ from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
 FRAMES, SESSION = 30, 7
+LONG = 20  # times what is mapped: seconds to save
 
 
 @dataclass(frozen=True)
@@ -66,18 +68,25 @@ class Node:
         self.backend, self._client = SlamBackendNode(), rclpy.create_node("client")
         self.backend._rig.rig = ground.vehicle.rig
         self._size = ground.vehicle.rig.left.width, ground.vehicle.rig.left.height
-        self._executor = SingleThreadedExecutor()
+        self._executor = LeanExecutor()
         self._executor.add_node(self.backend)
         self._executor.add_node(self._client)
 
-    def call(self, service: str, map_file: Path | None = None) -> Trigger.Response:
+    def spin(self) -> None:
+        self._executor.spin_once(timeout_sec=0.02)
+
+    def begin(self, service: str, map_file: Path | None = None) -> Future:
+        """Call a service, and return what its response will be in."""
         if map_file is not None:
             self.backend.set_parameters([Parameter("map_file", value=str(map_file))])
         client = self._client.create_client(Trigger, f"/uav2/slam_backend/{service}")
-        spin = lambda: self._executor.spin_once(timeout_sec=0.02)  # noqa: E731
-        assert wait_for(client.service_is_ready, spin)
-        future = client.call_async(Trigger.Request())
-        assert wait_for(future.done, spin)
+        assert wait_for(client.service_is_ready, self.spin)
+        return client.call_async(Trigger.Request())
+
+    def call(self, service: str, map_file: Path | None = None) -> Trigger.Response:
+        """Call a service, and wait for its response."""
+        future = self.begin(service, map_file)
+        assert wait_for(future.done, self.spin)
         return future.result()
 
     def fly(self, frames: list[Frame]) -> None:
@@ -135,6 +144,20 @@ def test_a_node_that_loads_a_map_starts_in_it_and_saves_the_offline_twin_s_map(
     late = node.call("load_map", ground.file)
     assert not late.success
     assert "before the flight" in late.message
+
+
+@pytest.mark.slow
+def test_the_node_goes_on_while_a_map_is_saved(node: Node, ground: Ground, tmp_path: Path) -> None:
+    node.call("load_map", ground.file)
+    node.fly(ground.frames)
+    archive = node.backend._stage._archive
+    assert archive is not None
+    archive._parts = archive._rest() * LONG  # as after a long flight
+    saving = node.begin("save_map", tmp_path / "uav2_map.npz")
+    assert not node.call("load_map").success  # it flies already
+    assert not saving.done()
+    assert wait_for(saving.done, node.spin)
+    assert saving.result().success, saving.result().message
 
 
 def test_what_goes_wrong_is_the_response_and_the_node_goes_on(node: Node, tmp_path: Path) -> None:

@@ -4,39 +4,62 @@
 ~/save_map    std_srvs/Trigger: all landmarks mapped until the last epoch, into the file of the parameter map_file
 ~/load_map    std_srvs/Trigger: the map of that file, for a vehicle that waits to start in one (start.method map)
 
-Neither takes a map without landmarks. What goes wrong is in the response, and the node goes on.
+Neither takes a map without landmarks. What goes wrong is in the response, and the node goes on. So it does while a map
+is saved: the covariances of half an hour's map take a minute or two to bound.
 """
 
-from collections.abc import Callable
+import threading
+from collections.abc import Awaitable, Callable, Generator
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from uav_vslam.errors import MapError, UavVslamError
-from uav_vslam.slam.saved_map import load_map, save_map
+from uav_vslam.slam.saved_map import Mapped, load_map, save_map
 from uav_vslam.slam.stage import SlamStage
 
 
 def offer_map_services(node: Node, stage: Callable[[], SlamStage]) -> None:
     """Create both services on a node that has declared map_file; `stage` returns the current one."""
 
-    def save() -> str:
-        path, saved = _map_file(node), stage().mapped().saved_map()
-        if not len(saved):
-            raise MapError(f"no landmark is mapped so far, and {path} is not written; save in flight, before a reset")
-        size = save_map(saved, path)
-        return f"{path}: map {saved.hash}, {len(saved)} landmarks in {size / 1e3:.0f} kB"
+    async def save() -> str:
+        job, path = Future[str](), _map_file(node)
+        threading.Thread(target=_save, args=(job, stage().mapped(), path), daemon=True).start()
+        while not job.done():
+            await _NextTurn()
+        return job.result()
 
-    def load() -> str:
+    async def load() -> str:
         path = _map_file(node)
         saved = load_map(path)
         stage().load_map(saved)
         return f"{path}: map {saved.hash} of {saved.origin.vehicle}, {len(saved)} landmarks"
 
-    node.create_service(Trigger, "~/save_map", _answering(save))
+    node.create_service(Trigger, "~/save_map", _answering(save), callback_group=MutuallyExclusiveCallbackGroup())
     node.create_service(Trigger, "~/load_map", _answering(load))
+
+
+class _NextTurn:
+    """Awaited by a callback that lets the executor turn to others."""
+
+    def __await__(self) -> Generator[None]:
+        yield
+
+
+def _save(job: Future[str], mapped: Mapped, path: str) -> None:
+    """Save a map; the job's result tells of it."""
+    try:
+        saved = mapped.saved_map()
+        if not len(saved):
+            raise MapError(f"no landmark is mapped so far, and {path} is not written; save in flight, before a reset")
+        size = save_map(saved, path)
+        job.set_result(f"{path}: map {saved.hash}, {len(saved)} landmarks in {size / 1e3:.0f} kB")
+    except Exception as error:  # of whatever kind, it is raised where the job is waited for
+        job.set_exception(error)
 
 
 def _map_file(node: Node) -> str:
@@ -46,10 +69,12 @@ def _map_file(node: Node) -> str:
     return str(Path(name).expanduser().absolute())
 
 
-def _answering(action: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-    def call(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+def _answering(
+    action: Callable[[], Awaitable[str]],
+) -> Callable[[Trigger.Request, Trigger.Response], Awaitable[Trigger.Response]]:
+    async def call(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            response.message, response.success = action(), True
+            response.message, response.success = await action(), True
         except (UavVslamError, np.linalg.LinAlgError) as error:
             response.message, response.success = str(error), False
         return response

@@ -330,11 +330,11 @@ class SlamStage:
         if report.recovery:
             self._start_watch.stop(report.pose.stamp_ns)
             self._bias_steps, self._clock = BiasStepMonitor(), ClockOffsetMonitor(backend)
-        self._archive_landmarks(report, joint)
+        of_map = self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
-        warnings = [text for text in (self._start_warning, *noisy, of_clock, of_start, self._warning(report)) if text]
+        warnings = (self._start_warning, *noisy, of_clock, of_start, of_map, self._warning(report))
         self._start_warning = ""
-        return FrameOutput(report, dead_reckoned, joint, increment, tuple(warnings))
+        return FrameOutput(report, dead_reckoned, joint, increment, tuple(text for text in warnings if text))
 
     def _motion(self, backend: SlamBackend, stamp_ns: int, increment: ImuIncrement | None) -> ImuIncrement | None:
         """Return the motion from the estimate to a frame, unknown as far as no increment has it; None for none."""
@@ -379,13 +379,18 @@ class SlamStage:
             return joint
         return dataclasses.replace(joint, prior_id=start_map.hash, other_sources=start_map.origin.sources)
 
-    def _archive_landmarks(self, report: FrameReport, joint: JointInformation | None) -> None:
+    def _archive_landmarks(self, report: FrameReport, joint: JointInformation | None) -> str:
+        """Collect landmarks for the map; return why they are left out, empty if they are not."""
         if self._archive is None:
-            return
+            return ""
         for sightings in (report.late_sightings, report.sightings):
             self._archive.count(sightings)
-        if joint is not None:
-            self._archive.add(joint)
+        try:
+            if joint is not None:
+                self._archive.add(joint)
+        except FilterDivergence as error:
+            return f"landmarks are missing in the map of this flight: {error}"
+        return ""
 
     def _noise_warnings(self, track_sigma_px: float, increment: ImuIncrement | None) -> list[str]:
         configured_px = self._config.backend.track_sigma_px

@@ -85,7 +85,7 @@ def smoothed_landmarks(mapped: Mapped, positions: Array, errors: PointErrors, *,
         if len(rows) == 0:
             continue
         places.append(
-            MappedPlace(
+            MappedPlace.of(
                 place.ids[rows],
                 positions[points[rows]],
                 errors.covariance(points[rows]),

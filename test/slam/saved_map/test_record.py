@@ -20,15 +20,28 @@ def drifted(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     return points, loading @ loading.T + np.diag(rng.uniform(0.05, 0.3, 3 * count) ** 2)
 
 
-def section_of(points: np.ndarray, covariance: np.ndarray) -> MapSection:
+def place_of(points: np.ndarray, covariance: np.ndarray) -> MappedPlace:
     count = len(points)
-    return MappedPlace(
+    return MappedPlace.of(
         np.arange(count, dtype=np.uint32),
         points,
         covariance,
         descriptors=np.zeros((count, 128), np.uint8),
         observations=np.ones(count, np.uint32),
-    ).section()
+    )
+
+
+def section_of(points: np.ndarray, covariance: np.ndarray) -> MapSection:
+    return place_of(points, covariance).section()
+
+
+def test_a_large_drift_does_not_hide_how_exact_landmarks_are_to_each_other() -> None:
+    """The factor is kept in single precision, which a covariance of 100 m and 2 mm would not survive."""
+    rng, own_m = np.random.default_rng(3), 0.002
+    common = np.tile(100.0 * np.eye(3), (20, 1))
+    place = place_of(rng.normal(size=(20, 3)), common @ common.T + own_m**2 * np.eye(60))
+    apart = np.eye(57, 60) - np.eye(57, 60, 3)  # of each landmark from the next
+    assert np.diag(apart @ place.covariance @ apart.T) == pytest.approx(2.0 * own_m**2, rel=0.05)
 
 
 @pytest.mark.parametrize("count", [1, 2, 12])

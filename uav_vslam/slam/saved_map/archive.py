@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.image_grid import spread_on_ground
 from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.numerics import submatrix
 from uav_vslam.slam.landmark_memory import LandmarkMemory
 from uav_vslam.slam.saved_map.record import MapOrigin, Mapped, MappedPlace
 from uav_vslam.types import JointInformation
@@ -51,7 +52,7 @@ class MapArchive:
         """Take over a belief, later than the last one.
 
         Raises:
-            FilterDivergence: its information is not positive definite.
+            FilterDivergence: its information, or the covariance of some landmarks, is not positive definite.
         """
         if self._last is not None and not np.isin(self._in_state, joint.ids).any():
             self._parts += self._rest()  # the filter was re-initialised: nothing relates it to the past
@@ -103,10 +104,10 @@ class MapArchive:
 
 def _place(belief: JointInformation, rows: Rows) -> MappedPlace:
     columns = landmark_rows(POSE_DIM, rows)
-    return MappedPlace(
+    return MappedPlace.of(
         belief.ids[rows],
         belief.positions[rows].copy(),
-        belief.covariance[np.ix_(columns, columns)],
-        belief.descriptors[rows].copy(),
-        np.zeros(len(rows), np.uint32),  # counted when they are wanted
+        submatrix(belief.covariance, columns),
+        descriptors=belief.descriptors[rows].copy(),
+        observations=np.zeros(len(rows), np.uint32),  # counted when they are wanted
     )

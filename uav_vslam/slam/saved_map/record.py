@@ -4,12 +4,14 @@
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.common_error_bound import smallest_common_bound
-from uav_vslam.geometry.coded_points import block_diagonal, rigid_jacobian
+from uav_vslam.geometry.coded_points import block_diagonal, pack_lower, rigid_jacobian, unpack_lower
+from uav_vslam.numerics import cholesky
 from uav_vslam.types import source_of
 
 Array = NDArray[np.float64]
@@ -91,26 +93,49 @@ class MapSection:
 class MappedPlace:
     """Landmarks of one place with their joint covariance.
 
+    A flight makes a thousand of them an hour, so the covariance is kept as its Cholesky factor, in single precision:
+    that is a quarter of its size, and stays positive definite.
+
     Attributes:
         ids: (N,) uint32 landmark identifiers of the flight; N > 0.
         positions: (N, 3) in the map frame [m].
-        covariance: (3N, 3N) [m^2].
+        factor: (3N (3N + 1) / 2,) float32, rows of the lower factor [m].
         descriptors: (N, D) uint8.
         observations: (N,) frames that showed each landmark.
     """
 
     ids: NDArray[np.uint32]
     positions: Array
-    covariance: Array
+    factor: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
     observations: NDArray[np.uint32]
 
-    def section(self) -> MapSection:
-        """Return them with a bound of their covariance.
+    @classmethod
+    def of(
+        cls,
+        ids: NDArray[np.uint32],
+        positions: Array,
+        covariance: Array,
+        *,
+        descriptors: NDArray[np.uint8],
+        observations: NDArray[np.uint32],
+    ) -> Self:
+        """Return landmarks with a covariance (3N, 3N) [m^2].
 
         Raises:
             FilterDivergence: the covariance is not positive definite.
         """
+        factor = pack_lower(cholesky(covariance, "covariance of mapped landmarks")).astype(np.float32)
+        return cls(ids, positions, factor, descriptors, observations)
+
+    @property
+    def covariance(self) -> Array:
+        """(3N, 3N) of the positions [m^2]."""
+        L = unpack_lower(self.factor.astype(float))
+        return np.asarray(L @ L.T)
+
+    def section(self) -> MapSection:
+        """Return them with a bound of their covariance."""
         anchor = self.positions.mean(axis=0)
         common, own = smallest_common_bound(self.covariance, rigid_jacobian(self.positions - anchor))
         return MapSection(anchor, common, self.ids, self.positions, own, self.descriptors, self.observations)
@@ -162,9 +187,5 @@ class Mapped:
     places: tuple[MappedPlace, ...] = ()
 
     def saved_map(self) -> SavedMap:
-        """Return the map of them.
-
-        Raises:
-            FilterDivergence: a covariance is not positive definite.
-        """
+        """Return the map of them; this takes a second for some ten places."""
         return SavedMap(self.origin, tuple(place.section() for place in self.places))
