@@ -80,7 +80,7 @@ class MapArchive:
 
     def _open(self, belief: JointInformation) -> Rows:
         """Return the rows of landmarks that are in no section yet: remembered, or observed often enough."""
-        stored = np.isin(belief.ids, np.fromiter(self._stored, np.uint32, len(self._stored)))
+        stored = np.array([i in self._stored for i in belief.ids.tolist()], bool)
         young = np.isin(belief.ids, self._in_state) & (self._counted(belief.ids) < MIN_OBSERVATIONS)
         return np.flatnonzero(~stored & ~young)
 
