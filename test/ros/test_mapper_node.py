@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper makes of images and late poses the surface that the core makes of the same views."""
 
+import math
 import resource
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -112,6 +113,22 @@ def test_in_flight_only_tiles_are_saved_and_the_rest_at_the_end(make: Make, tmp_
     node.destroy_node()
     picture = {f"orthomosaic.{suffix}" for suffix in ("png", "pgw", "jpg")}
     assert {path.name for path in folder.iterdir()} == {"tiles", "map.json", "height.tif"} | picture
+
+
+def test_after_a_long_publication_tiles_are_saved_but_the_map_is_published_only_later(
+    make: Make, tmp_path: Path
+) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    calibrate(node)
+    fly(node, range(VIEWS))
+    node._idle_until_s = math.inf
+    node._publish()
+    assert node.notes["map"].endswith(f"tiles from {node._map.mapper.pairs} pairs")
+    assert node._published_pairs == 0
+    node._idle_until_s = 0.0
+    node._publish()
+    assert node._published_pairs == node._map.mapper.pairs > 0
+    assert node._idle_until_s > 0.0
 
 
 def test_a_map_without_a_folder_is_published_only(make: Make) -> None:

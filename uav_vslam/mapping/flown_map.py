@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map of one vehicle while it flies: surface, overlap and orthomosaic, saved as it grows."""
 
+import math
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,6 +23,7 @@ from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.surface.settings import SurfaceSettings
 from uav_vslam.mapping.surface.tiles import TILES
 from uav_vslam.mapping.surface_files import FIGURES, write_surface
+from uav_vslam.mapping.tile_store import SIDE
 from uav_vslam.mapping.view import View
 
 Array = NDArray[np.float64]
@@ -29,7 +31,7 @@ Bytes = NDArray[np.uint8]
 
 UNSEEN_GREY = 128  # of ground with a height that no key frame has shown yet
 LEAST_SEEN = 0.25  # of a cell
-COLOURED_PX = 2048  # side of the part of the picture that is in memory for it
+MOST_CELLS = 4_000_000  # in the tiles of the map; about half of them have a height
 
 
 class FlownMap:
@@ -71,13 +73,16 @@ class FlownMap:
         if self._picture is not None and ground_m is not None:
             self._picture.add(view, ground_m)
 
+    @property
+    def stride(self) -> int:
+        """In steps of how many cells a live view shows the map: more than one where it has more than `MOST_CELLS`."""
+        return max(1, math.ceil(math.sqrt(self.grid.tiles * SIDE**2 / MOST_CELLS)))
+
     def coloured(self) -> tuple[Array, Bytes]:
-        """Return (N, 3) centres of the cells with a height [m], and their (N, 3) colours, BGR."""
-        window = self.grid.window(self.grid.extent)
-        x, y = np.meshgrid(window.raster.x, window.raster.y)
-        known = np.isfinite(window.height)
-        points = np.column_stack([x[known], y[known], window.height[known]])
-        return points, self._colours(points)
+        """Return (N, 3) centres of cells with a height [m], in steps of `stride`, and their (N, 3) colours, BGR."""
+        points = [window.points(self.stride) for window in self.grid.windows()]
+        colours = [self._colours(some) for some in points]
+        return np.concatenate([np.zeros((0, 3)), *points]), np.concatenate([np.zeros((0, 3), np.uint8), *colours])
 
     def save(self) -> dict[str, Any]:
         """Write all files of the map so far, and return the figures of `map.json`.
@@ -111,26 +116,18 @@ class FlownMap:
         return self._picture.mosaic if self._picture is not None and self._picture.mosaic.views else None
 
     def _colours(self, points: Array) -> Bytes:
-        """Return (N, 3) mean colours of the picture around points."""
-        colours = np.full((len(points), 3), UNSEEN_GREY, np.uint8)
-        for part in self._drawn.seen().tiles(COLOURED_PX) if self._drawn else ():
-            row, column = _pixels(part, points)
-            inside = (row >= 0) & (row < part.rows) & (column >= 0) & (column < part.columns)
-            if inside.any():
-                colours[inside] = self._colours_within(part, points[inside])
-        return colours
-
-    def _colours_within(self, part: Raster, points: Array) -> Bytes:
-        """Return (N, 3) mean colours of a part of the picture around points within it."""
-        assert self._drawn is not None
+        """Return (N, 3) mean colours of the picture around points that are near each other."""
+        if self._drawn is None or len(points) == 0:
+            return np.full((len(points), 3), UNSEEN_GREY, np.uint8)
         side = max(1, round(self.grid.cell_m / self._drawn.m_per_px))
-        picture = self._drawn.picture(part.grown(side))
+        picture = self._drawn.picture(Raster.covering(points, self._drawn.m_per_px).grown(side))
         seen = cv2.blur(picture.seen.astype(np.float32), (side, side))
         total = cv2.blur(picture.image.astype(np.float32), (side, side)).reshape(*seen.shape, -1)
         at = _pixels(picture.raster, points)
         there = seen[at] > LEAST_SEEN
         mean = np.rint(total[at] / np.maximum(seen[at], LEAST_SEEN)[:, None])
-        return np.where(there[:, None], mean, UNSEEN_GREY).astype(np.uint8)
+        colours = np.where(there[:, None], mean, UNSEEN_GREY).astype(np.uint8)
+        return np.broadcast_to(colours, points.shape)  # of grey pictures, too
 
 
 def _pixels(raster: Raster, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -10,6 +10,7 @@ out  map/surface                                     sensor_msgs/PointCloud2, la
 """
 
 import itertools
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,6 +36,7 @@ from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.ros.vehicle_node import VehicleNode
 
 MESH_STEP_M = 2.0  # sides of the triangles that are published
+MOST_BUSY = 0.1  # share of the time that publishing the map may take
 COLOUR = ColorRGBA(r=0.55, g=0.6, b=0.45, a=1.0)
 
 
@@ -44,7 +46,7 @@ class MapperNode(VehicleNode):
     def __init__(self) -> None:
         super().__init__("mapper")
         self._map = self._new_map(beside=self.own.resume)
-        self._published_pairs = 0
+        self._published_pairs, self._idle_until_s = 0, 0.0
         self._late: LatePoses | None = None
         self._stamp_ns = 0
         self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
@@ -118,24 +120,28 @@ class MapperNode(VehicleNode):
             self.counts[f"refused/{reason}"] = count
 
     def _publish(self) -> None:
-        """Save the changed tiles and publish the map, if it has grown."""
+        """Save the changed tiles and publish the map, if it has grown; the larger it is, the more rarely."""
         pairs = self._map.mapper.pairs
         if pairs == self._published_pairs:
             return
-        self._published_pairs = pairs
         if self._map.folder is not None:
             self._note_save(self._flush)
+        if (begin_s := time.monotonic()) < self._idle_until_s:
+            return
+        self._published_pairs = pairs
         try:
             self._publish_map()
         except OSError as error:  # as in `_on_pose`
             self._alarm(error)
+        now_s = time.monotonic()
+        self._idle_until_s = now_s + (now_s - begin_s) / MOST_BUSY
 
     def _publish_map(self) -> None:
         if self._surface.get_subscription_count():
             points, bgr = self._map.coloured()
             self._surface.publish(cloud_to_msg(points, bgr=bgr, stamp_ns=self._stamp_ns, frame_id=self.map_frame))
         if self._mesh.get_subscription_count():
-            corners = surface_triangles(self._map.grid, MESH_STEP_M).reshape(-1, 3).tolist()
+            corners = surface_triangles(self._map.grid, MESH_STEP_M * self._map.stride).reshape(-1, 3).tolist()
             mesh = Marker(header=header(self._stamp_ns, self.map_frame), ns=self.vehicle, type=Marker.TRIANGLE_LIST)
             mesh.pose.orientation.w = mesh.scale.x = mesh.scale.y = mesh.scale.z = 1.0
             mesh.color, mesh.points = COLOUR, [Point(x=x, y=y, z=z) for x, y, z in corners]

@@ -7,6 +7,8 @@ side a wall hides what is below it, from none does the ground hide what stands o
 the order of the pairs changes nothing but the rounding.
 """
 
+import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,6 +50,13 @@ class HeightWindow:
     angle: Floats
     filled: NDArray[np.bool_]
 
+    def points(self, stride: int) -> NDArray[np.float64]:
+        """Return (N, 3) centres of the cells with a height [m], of every so many rows and columns of the grid."""
+        rows, columns = np.nonzero(np.isfinite(self.height))
+        chosen = ((rows + self.raster.row) % stride == 0) & ((columns + self.raster.column) % stride == 0)
+        rows, columns = rows[chosen], columns[chosen]
+        return np.column_stack([self.raster.x[columns], self.raster.y[rows], self.height[rows, columns]])
+
 
 class HeightGrid:
     """Heights on an unbounded grid."""
@@ -84,6 +93,11 @@ class HeightGrid:
     def cell_m(self) -> float:
         """Side of a cell [m]."""
         return self._tiles.cell_m
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles that exist."""
+        return len(self._tiles)
 
     @property
     def extent(self) -> Raster:
@@ -136,6 +150,14 @@ class HeightGrid:
         angle = np.where(np.isfinite(height), cells["angle"], np.nan).astype(np.float32)
         count = np.minimum(cells["count"], MOST_POINTS).astype(np.uint16)
         return HeightWindow(raster, whole[cut], sigma[cut], count[cut], angle[cut], (gaps & np.isfinite(whole))[cut])
+
+    def windows(self, *, beyond: int = 0) -> Iterator[HeightWindow]:
+        """Yield all that is known, tile by tile, each with so many rows and columns beyond its north and east edges.
+
+        A window of the whole `extent` would take as much as the square around a long, straight flight.
+        """
+        for tile, _ in self._tiles:
+            yield self.window(dataclasses.replace(tile, columns=tile.columns + beyond, rows=tile.rows + beyond))
 
     def known(self, xy: ArrayLike) -> NDArray[np.bool_]:
         """Return which of (N, 2) points x, y [m] lie in cells with a height of their own."""
