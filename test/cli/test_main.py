@@ -8,6 +8,7 @@ import types
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import uav_vslam
@@ -43,6 +44,14 @@ def test_our_errors_are_one_line_and_exit_code_2(install: Install, capsys: pytes
     install(fail)
     assert command.main(["bench"]) == 2
     assert capsys.readouterr().err == "uav-vslam: out/flight: no such recording\n"
+
+
+def test_a_lack_of_memory_is_one_line_and_exit_code_1(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    install(lambda _: len(np.empty((1 << 30, 1 << 20))))  # 8 PiB
+    assert command.main(["bench"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("uav-vslam: not enough memory (Unable to allocate 8.00 PiB")
+    assert error.count("\n") == 1
 
 
 def test_an_interrupt_is_exit_code_130(install: Install) -> None:

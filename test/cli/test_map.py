@@ -13,6 +13,7 @@ import tifffile
 from geotiff import place
 
 from uav_vslam.cli.main import main
+from uav_vslam.cli.map_picture import default_pixel_m
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
 from uav_vslam.mapping.raster import Raster
@@ -85,13 +86,15 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
     for tile in (result / "before/tiles").glob("*.npz"):
         assert np.array_equal(np.load(tile)["cells"], np.load(result / "map/tiles" / tile.name)["cells"])
     shutil.rmtree(result / "map")
-    options = ["--bags", str(bag), "--vehicles", "uav2", "--cell", "1", "--datum=-28.2325,153.0012,20", "--yaw", "30"]
+    options = ["--bags", str(bag), "--vehicles", "uav2", "--cell", "1", "--pixel", "0.3"]
+    options += ["--datum=-28.2325,153.0012,20", "--yaw", "30"]
     axes: list[str] = []
     monkeypatch.setattr("uav_vslam.report.style.save", lambda drawn, _: axes.append(drawn.axes[0].get_ylabel()))
     assert main(["map", str(result), *options]) == 0
     assert axes == ["y [m]", "y [m]"]  # not north
     tree = json.loads((result / "map/map.json").read_text())
     assert list(tree["vehicles"]) == ["uav2"]
+    assert tree["orthomosaic"]["m_per_px"] == 0.3
     assert tree["datum"] == {"latitude_deg": -28.2325, "longitude_deg": 153.0012, "height_m": 20.0, "yaw_deg": 30.0}
     assert not (result / "map/orthomosaic.png").exists()
     datum = Datum(-28.2325, 153.0012, 20.0, yaw_deg=30.0)
@@ -100,6 +103,18 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
     assert place(result / "map/height.tif", 0, 0) == pytest.approx(north_west[:2], abs=1e-8)  # a millimetre
     with tifffile.TiffFile(result / "map/orthomosaic.tif") as picture:
         assert picture.pages[0].geotiff_tags["ProjNatOriginLatGeoKey"] == -28.2325
+
+
+@pytest.mark.parametrize(
+    ("sides_m", "pixel_m"), [((1000.0, 2000.0), 0.1), ((1000.0, 2100.0), 0.15), ((4000.0, 4000.0), 0.3)]
+)
+def test_a_large_picture_has_larger_pixels_and_that_is_told(
+    sides_m: tuple[float, float], pixel_m: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns, rows = (round(side_m / 0.5) for side_m in sides_m)
+    assert default_pixel_m(Raster(0.5, -columns // 2, 0, columns, rows)) == pixel_m
+    said = capsys.readouterr().err
+    assert (f"{pixel_m:g} m wide" in said) == ("--pixel M" in said) == (pixel_m > 0.1)
 
 
 def flown_only(result: Path, folder: Path) -> Path:

@@ -76,6 +76,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader closed the pipe; Python would raise again while it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    except MemoryError as error:
+        why = f" ({error})" if str(error) else ""
+        print(f"uav-vslam: not enough memory{why}; a map takes less with larger --cell, --pixel", file=sys.stderr)
+        return FAILURE
     except OSError as error:
         if error.errno in DISK_FULL:
             where = f"{error.filename}: " if error.filename else ""

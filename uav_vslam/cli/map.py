@@ -25,6 +25,7 @@ HELP = "map the surface that was flown over: run recordings, or take a results f
 EXAMPLES = """examples:
   uav-vslam map flight --config kagaru                fly, smooth, map; the map goes to RESULT/map/
   uav-vslam map config/fleet_demo.yaml --cell 1       several vehicles in one map
+  uav-vslam map results/latest --pixel 0.03           a finer orthomosaic, of a low flight
   uav-vslam map results/latest                        map a flight that has been run, with the poses found there
   uav-vslam map results/latest --bags moved/flight    the recordings have moved since
   uav-vslam map results/latest --datum -28.2325 153.0012 20    GeoTIFFs for a GIS
@@ -54,6 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0.5,
         metavar="M",
         help="side of a cell of the height grid [m] (default 0.5)",
+    )
+    parser.add_argument(
+        "--pixel",
+        type=positive_number,
+        metavar="M",
+        help="side of a pixel of the orthomosaic [m] (default 0.1, or more if that took over 200 megapixels)",
     )
     add_datum(parser, "GeoTIFFs")
     parser.add_argument(
@@ -91,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         warn(f"{folder / FOLDER}.partial, left by work that was cut short, is removed")
     cv2.setNumThreads(1)
     with unfinished(folder / FOLDER) as partial:
-        cells = write_map(flights, partial, args.cell, datum)
+        cells = write_map(flights, partial, args.cell, args.pixel, datum)
     print(f"map: {folder / FOLDER}")
     if not args.no_plots:
         print(f"page: {write_page([folder])}")
@@ -100,9 +107,19 @@ def run(args: argparse.Namespace) -> int:
     return code if cells else max(code, 1)
 
 
-def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: Datum | None) -> int:
-    """Map flights into a new folder, print what was found, and return the number of cells with a height."""
-    from uav_vslam.cli.map_picture import write_picture_and_model
+def write_map(
+    flights: list[MappedFlight], folder: Path, cell_m: float, pixel_m: float | None, datum: Datum | None
+) -> int:
+    """Map flights into a new folder, print what was found, and return the number of cells with a height.
+
+    Args:
+        flights: to be mapped.
+        folder: for the files.
+        cell_m: side of a cell of the height grid [m].
+        pixel_m: side of a pixel of the orthomosaic [m]; None for the default.
+        datum: of the map frame, if known.
+    """
+    from uav_vslam.cli.map_picture import default_pixel_m, write_picture_and_model
     from uav_vslam.evaluation.files.writing import write_json
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.progress import counted
@@ -121,7 +138,7 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: D
     mapper.finish()
     tree = write_surface(grid, overlap, mapper, folder, datum)
     if grid.extent.columns:
-        tree |= write_picture_and_model(flights, grid, folder, datum)
+        tree |= write_picture_and_model(flights, grid, folder, pixel_m or default_pixel_m(grid.extent), datum)
         for vehicle, share in tree.pop("shares").items():
             tree["vehicles"][vehicle]["share"] = share
     write_json(folder / FIGURES, tree)

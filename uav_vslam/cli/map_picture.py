@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,22 +11,40 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uav_vslam.cli.messages import warn
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from uav_vslam.cli.map_inputs import MappedFlight
     from uav_vslam.evaluation.files.geodetic import Datum
+    from uav_vslam.mapping.raster import Raster
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.view import View
 
-M_PER_PX = 0.1
+PIXEL_M, PIXEL_STEP_M = 0.1, 0.05
+MOST_PIXELS = 200_000_000  # of the default: some 3 GB while the picture is written
 PASSES = 3  # over the key frames: brightness, picture, seams and walls
 
 
+def default_pixel_m(extent: Raster) -> float:
+    """Return the side of a pixel [m] with which a picture of an area fits into the memory; warn if it is large."""
+    west, south, east, north = extent.bounds_m
+    area_m2 = (east - west) * (north - south)
+    if area_m2 <= PIXEL_M**2 * MOST_PIXELS:
+        return PIXEL_M
+    pixel_m = round(PIXEL_STEP_M * math.ceil(math.sqrt(area_m2 / MOST_PIXELS) / PIXEL_STEP_M), 2)
+    megapixels = area_m2 / PIXEL_M**2 / 1e6
+    warn(
+        f"pixels of the orthomosaic are {pixel_m:g} m wide, as {PIXEL_M:g} m would make {megapixels:.0f} megapixels; "
+        "--pixel M chooses"
+    )
+    return pixel_m
+
+
 def write_picture_and_model(
-    flights: list[MappedFlight], grid: HeightGrid, folder: Path, datum: Datum | None
+    flights: list[MappedFlight], grid: HeightGrid, folder: Path, pixel_m: float, datum: Datum | None
 ) -> dict[str, Any]:
-    """Write the orthomosaic and the model; return their parts of `map.json`.
+    """Write the orthomosaic, with pixels of a side [m], and the model; return their parts of `map.json`.
 
     Raises:
         UavVslamError: no view shows the surface.
@@ -47,7 +66,7 @@ def write_picture_and_model(
 
     with TemporaryDirectory(dir=folder, prefix="tiles_") as tiles:
         with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
-            mosaic = blended_mosaic(views, surface, M_PER_PX, folder=Path(tiles), on_view=advance)
+            mosaic = blended_mosaic(views, surface, pixel_m, folder=Path(tiles), on_view=advance)
             found = seams(mosaic, counted(views(), advance)).figures()
         written = write_orthomosaic(mosaic, folder, datum)
         model = write_model(surface, mosaic, folder, views=views, cell_m=grid.cell_m)
