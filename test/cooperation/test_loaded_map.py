@@ -144,6 +144,17 @@ def test_a_packet_is_dependent_on_a_map_that_was_fused_before(belief) -> None:
     assert gained > 0.9  # three independent ones would give two thirds
 
 
+def test_only_sections_near_the_vehicle_are_held_as_packets(belief) -> None:
+    rng, km = np.random.default_rng(2), np.array([1000.0, 0.0, 0.0])
+    joints = [belief("uav9", k * km, rng, prior_id="", other_sources=()) for k in range(4)]
+    places = [saved_map(joint).sections[0] for joint in joints]
+    fusion = Fusion("uav1", CONFIG, SavedMap(MapOrigin("uav9", 1, "uav9/map", NOW_NS), tuple(places)))
+    for k in range(4):
+        own = belief("uav1", k * km, rng, stamp_ns=NOW_NS + k * NS_PER_S)
+        assert fusion.fuse(own).map_landmarks > 0
+        assert list(fusion._loaded._packets) == [k]
+
+
 def test_a_map_of_ground_far_away_is_not_used(belief) -> None:
     rng = np.random.default_rng(8)
     own = belief("uav1", np.zeros(3), rng)

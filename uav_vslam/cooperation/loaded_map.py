@@ -29,7 +29,7 @@ class LoadedMap:
     def __init__(self, saved: SavedMap) -> None:
         self._saved = saved
         self._anchors = np.array([section.anchor for section in saved.sections]).reshape(-1, 3)
-        self._packets: dict[int, LandmarkPacket] = {}
+        self._packets: dict[int, LandmarkPacket] = {}  # of the nearest sections
 
     def common(self, own: OwnLandmarks, frame: PeerFrame) -> tuple[LandmarkPacket, Pairs] | None:
         """Return the section with most common landmarks, and the (K, 2) pairs of own rows and its; None without any.
@@ -39,8 +39,8 @@ class LoadedMap:
             frame: the map's, common with the own.
         """
         best: tuple[LandmarkPacket, Pairs] | None = None
-        for row in self._nearest(own.positions):
-            packet = self._packet(row)
+        self._packets = {row: self._packet(row) for row in self._nearest(own.positions)}
+        for packet in self._packets.values():
             if packet.descriptors.shape[1] != own.descriptors.shape[1]:
                 continue
             pairs = frame.find_common(own, packet)
@@ -56,9 +56,8 @@ class LoadedMap:
         return [int(row) for row in order[distance_m[order] <= REACH_M]]
 
     def _packet(self, row: int) -> LandmarkPacket:
-        if row not in self._packets:
-            self._packets[row] = _packet(self._saved, self._saved.sections[row], row)
-        return self._packets[row]
+        known = self._packets.get(row)
+        return known if known is not None else _packet(self._saved, self._saved.sections[row], row)
 
 
 def _packet(saved: SavedMap, section: MapSection, row: int) -> LandmarkPacket:

@@ -45,7 +45,7 @@ class MapOrigin:
         return (own, *(source for source in self.other_sources if source != own))
 
 
-@dataclass(frozen=True)  # no slots: the covariance is cached
+@dataclass(frozen=True, slots=True)
 class MapSection:
     """Landmarks of one place with a bound of their joint covariance, J P_T J^T + blkdiag(D_i).
 
@@ -70,7 +70,7 @@ class MapSection:
     def __len__(self) -> int:
         return len(self.ids)
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """(3N, 3N) of the positions [m^2]."""
         loading = rigid_jacobian(self.positions - self.anchor) @ self.common_factor
