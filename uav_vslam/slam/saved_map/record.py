@@ -135,7 +135,11 @@ class MappedPlace:
         return np.asarray(L @ L.T)
 
     def section(self) -> MapSection:
-        """Return them with a bound of their covariance."""
+        """Return them with a bound of their covariance.
+
+        Raises:
+            FilterDivergence: none was found.
+        """
         anchor = self.positions.mean(axis=0)
         common, own = smallest_common_bound(self.covariance, rigid_jacobian(self.positions - anchor))
         return MapSection(anchor, common, self.ids, self.positions, own, self.descriptors, self.observations)
@@ -187,5 +191,9 @@ class Mapped:
     places: tuple[MappedPlace, ...] = ()
 
     def saved_map(self) -> SavedMap:
-        """Return the map of them; this takes a second for some ten places."""
+        """Return the map of them; this takes a second for some ten places.
+
+        Raises:
+            FilterDivergence: no bound of a covariance was found.
+        """
         return SavedMap(self.origin, tuple(place.section() for place in self.places))
