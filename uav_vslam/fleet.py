@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The offline twin of the node graph: several vehicles, their packets and their fusion in one process.
 
-Own-only tracks do not depend on the network, so they can be computed first, one process a vehicle; the exchange of
+Own-only tracks do not depend on the network, so they can be computed elsewhere, ahead or beforehand; the exchange of
 packets and the fusion follow in stamp order, exactly as in lock-step replay.
 """
 
+import heapq
 import itertools
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 
 from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
@@ -17,6 +18,7 @@ from uav_vslam.cooperation.link import Link
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.packet import payload_bytes
 from uav_vslam.slam.saved_map import load_map
+from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.types import NS_PER_S, LandmarkPacket, LinkEpoch, PoseEstimate
 
 
@@ -50,45 +52,83 @@ class CooperativeTrack:
     fusion_s: dict[int, float] = field(default_factory=dict)
 
 
-def cooperate(
-    tracks: dict[str, VehicleTrack],
-    configs: dict[str, VehicleConfig],
-    links: Callable[[str, str], PacketLink] | None = None,
-    on_packet: Callable[[Fusion, LandmarkPacket, int], None] = lambda *_: None,
-) -> dict[str, CooperativeTrack]:
-    """Exchange packets and fuse.
+class Fleet:
+    """Exchanges packets and fuses while the vehicles fly.
 
-    Args:
-        tracks: own-only tracks by vehicle.
-        configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor receives.
-        links: makes the radio link from a sender to a receiver; without it packets arrive at once.
-        on_packet: called with the maker of each packet sent, the packet and its size [byte]; not for relayed ones.
-
-    Returns:
-        A cooperative track for each vehicle.
+    Attributes:
+        members: the cooperative flight of each vehicle so far.
     """
-    fleet: dict[str, CooperativeTrack] = {}
-    air = Air(tracks, links, lambda packet: on_packet(fleet[packet.vehicle].fusion, packet, payload_bytes(packet)))
-    for name in tracks:
-        settings = configs[name].fusion
-        loaded = load_map(configs[name].start.map) if configs[name].start.map else None
-        fusion, peers = Fusion(name, settings, loaded), [peer for peer in tracks if peer != name]
-        fleet[name] = CooperativeTrack(fusion, Exchange(fusion, peers, LinkTransport(air, name), settings))
-        fleet[name].exchange.configure(settings)
-    frames = [(output.report.pose.stamp_ns, name, output) for name, track in tracks.items() for output in track.outputs]
-    for stamp_ns, name, output in sorted(frames, key=lambda frame: frame[:2]):
-        member = fleet[name]
+
+    def __init__(
+        self,
+        vehicles: Collection[str],
+        configs: dict[str, VehicleConfig],
+        links: Callable[[str, str], PacketLink] | None = None,
+        on_packet: Callable[[Fusion, LandmarkPacket, int], None] = lambda *_: None,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            vehicles: their names.
+            configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor receives.
+            links: makes the radio link from a sender to a receiver; without it packets arrive at once.
+            on_packet: called with the maker of each packet sent, the packet and its size [byte]; not for relayed ones.
+        """
+        self.members: dict[str, CooperativeTrack] = {}
+        self._air = Air(
+            vehicles,
+            links,
+            lambda packet: on_packet(self.members[packet.vehicle].fusion, packet, payload_bytes(packet)),
+        )
+        for name in vehicles:
+            settings = configs[name].fusion
+            loaded = load_map(configs[name].start.map) if configs[name].start.map else None
+            fusion, peers = Fusion(name, settings, loaded), [peer for peer in vehicles if peer != name]
+            exchange = Exchange(fusion, peers, LinkTransport(self._air, name), settings)
+            self.members[name] = CooperativeTrack(fusion, exchange)
+            exchange.configure(settings)
+
+    def add(self, vehicle: str, output: FrameOutput) -> None:
+        """Take the next frame of the fleet, by stamp and vehicle; fuse and send if it is an epoch."""
+        member, stamp_ns = self.members[vehicle], output.report.pose.stamp_ns
         if output.joint is not None:
-            air.deliver(stamp_ns)
+            self._air.deliver(stamp_ns)
             began_s = time.process_time()
             member.fusion.fuse(output.joint)
             member.exchange.send()
             member.fusion_s[stamp_ns] = time.process_time() - began_s
             member.epochs.append(link_epoch(member, stamp_ns))
         member.poses.append(member.fusion.propagate(output.report.pose))
-    if frames:
-        air.deliver(max(stamp_ns for stamp_ns, _, _ in frames))
-    return fleet
+
+    def land(self) -> None:
+        """Deliver what has arrived by the last frame."""
+        poses = [member.poses[-1] for member in self.members.values() if member.poses]
+        if poses:
+            self._air.deliver(max(pose.stamp_ns for pose in poses))
+
+
+def cooperate(
+    tracks: dict[str, VehicleTrack],
+    configs: dict[str, VehicleConfig],
+    links: Callable[[str, str], PacketLink] | None = None,
+    on_packet: Callable[[Fusion, LandmarkPacket, int], None] = lambda *_: None,
+) -> dict[str, CooperativeTrack]:
+    """Fly a `Fleet`, which takes the same arguments, along own-only tracks that keep their joint information."""
+    fleet = Fleet(tracks, configs, links, on_packet)
+    for vehicle, output in in_stamp_order(named(name, track.outputs) for name, track in tracks.items()):
+        fleet.add(vehicle, output)
+    fleet.land()
+    return fleet.members
+
+
+def named(vehicle: str, outputs: Iterable[FrameOutput]) -> Iterator[tuple[str, FrameOutput]]:
+    """Yield each output with the name of its vehicle."""
+    return zip(itertools.repeat(vehicle), outputs)
+
+
+def in_stamp_order(flights: Iterable[Iterable[tuple[str, FrameOutput]]]) -> Iterator[tuple[str, FrameOutput]]:
+    """Yield the named outputs of several flights, each in this order already, by stamp and vehicle."""
+    return heapq.merge(*flights, key=lambda frame: (frame[1].report.pose.stamp_ns, frame[0]))
 
 
 def never_together(tracks: dict[str, VehicleTrack], configs: dict[str, VehicleConfig]) -> list[str]:

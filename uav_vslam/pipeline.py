@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One vehicle without ROS: the nodes' stages, chained in one process."""
 
+import dataclasses
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -13,6 +14,7 @@ from uav_vslam.ins.outliers import OUTLIER, OutlierFilter
 from uav_vslam.ins.preintegrator import ImuPreintegrator
 from uav_vslam.ins.sensor_clock import bridges, sensor_time_line
 from uav_vslam.ins.sensor_lag import IMAGES, IMU
+from uav_vslam.slam.landmark_record import LandmarkRecord
 from uav_vslam.slam.saved_map import Mapped, SavedMap
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.stamps import Admitted
@@ -28,7 +30,8 @@ class VehicleTrack:
         vehicle: name.
         start: start state; None until there is one.
         frames_in: stereo pairs offered.
-        outputs: one per frame processed, in stamp order.
+        outputs: one per frame processed, in stamp order; without joint information unless that is kept.
+        landmarks: as last estimated at an epoch.
         dropped: frames that were not processed, by reason.
         alarms: frames with a camera or rig fault, by subject.
         alarms_at: subjects of such faults by the frame's stamp [ns].
@@ -44,6 +47,7 @@ class VehicleTrack:
     start: NavEstimate | None = None
     frames_in: int = 0
     outputs: list[FrameOutput] = field(default_factory=list)
+    landmarks: LandmarkRecord = field(default_factory=LandmarkRecord)
     dropped: dict[str, int] = field(default_factory=dict)
     alarms: Counter[str] = field(default_factory=Counter)
     alarms_at: dict[int, tuple[str, ...]] = field(default_factory=dict)
@@ -71,14 +75,16 @@ class VehiclePipeline:
         config: VehicleConfig,
         vehicle: str,
         keep_features: bool = False,
+        keep_joints: bool = True,
         keep_map: bool = False,
     ) -> None:
         """Start at a state; with `start.method: in_flight` it may be None and is estimated.
 
-        The track keeps its features, for pictures and smoothing, if asked to: some 10 kB a frame. With `keep_map`
-        all landmarks are collected for `mapped`.
+        The track keeps its features, for pictures and smoothing, if asked to: some 10 kB a frame; and the joint
+        information of each epoch, to be fused afterwards, unless asked not to: 3 MB with 200 landmarks. With
+        `keep_map` all landmarks are collected for `mapped`.
         """
-        self._keep_features = keep_features
+        self._keep_features, self._keep_joints = keep_features, keep_joints
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
         self._outliers = OutlierFilter()
@@ -183,11 +189,17 @@ class VehiclePipeline:
             self._report_imu(self._preintegrator.statistics.fault)
         outputs = list(self._timed(self._slam.run()))
         self.track.start = self._slam.initial
-        self.track.outputs += outputs
+        for output in outputs:
+            self._record(output)
         self.track.warnings += [text for output in outputs for text in output.warnings]
         dropped = {**self._slam.dropped, **self._refused, **self._stamps.refused}
         self.track.dropped = {reason: count for reason, count in dropped.items() if count}
         return outputs
+
+    def _record(self, output: FrameOutput) -> None:
+        if output.joint is not None:
+            self.track.landmarks.add(output.joint)
+        self.track.outputs.append(output if self._keep_joints else dataclasses.replace(output, joint=None))
 
     def _report_imu(self, fault: str) -> None:
         """Warn of a fault of the readings, once: the rates in its text vary."""

@@ -331,6 +331,24 @@ class JointInformation:
 
 
 @dataclass(frozen=True, slots=True)
+class MappedLandmarks:
+    """Landmarks in the map frame, each with its own covariance.
+
+    Attributes:
+        ids: (N,) unique identifiers.
+        positions: (N, 3) [m].
+        covariances: (N, 3, 3) [m^2].
+    """
+
+    ids: NDArray[np.uint32]
+    positions: Array
+    covariances: Array
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, slots=True)
 class LandmarkPacket:
     """Self-contained marginal over some landmarks of one vehicle, as sent over the radio.
 

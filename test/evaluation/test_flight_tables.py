@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up_results import COVARIANCE, LANDMARKS, joint, write_bare, write_full
+from made_up_results import COVARIANCE, LANDMARKS, landmarks, write_bare, write_full
 
 from uav_vslam.errors import TrajectoryFileError
 from uav_vslam.evaluation.files.tables import numbers, read_columns
@@ -33,10 +33,10 @@ def test_a_stage_that_did_not_run_has_no_time(tmp_path: Path) -> None:
 
 
 def test_landmarks_keep_place_and_covariance(tmp_path: Path) -> None:
-    path = write_landmarks([joint(0.0)], tmp_path / "landmarks.csv")
+    path = write_landmarks(landmarks(0.0), tmp_path / "landmarks.csv")
     table = read_columns(path)
     assert len(table["id"]) == LANDMARKS
-    np.testing.assert_allclose(numbers(table["x_m"], path), joint(0.0).positions[:, 0], atol=1e-4)
+    np.testing.assert_allclose(numbers(table["x_m"], path), landmarks(0.0).positions[:, 0], atol=1e-4)
     cells = [numbers(table[f"cov_{pair}"], path) for pair in ("x_x", "x_y", "x_z", "y_y", "y_z", "z_z")]
     np.testing.assert_allclose(np.array(cells).T, np.tile(COVARIANCE[np.triu_indices(3)], (LANDMARKS, 1)), rtol=1e-4)
 

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
 
-from uav_vslam.geometry.pose import Pose
 from uav_vslam.report.contact_sheet import contact_sheet
 from uav_vslam.report.landmark_view import horizontal_ellipses, landmark_view
 from uav_vslam.report.plots import write_plots
 from uav_vslam.report.quality_plot import COASTED, EVENT, quality_plot
-from uav_vslam.types import FrameQuality, JointInformation
+from uav_vslam.types import FrameQuality, MappedLandmarks
 
 DARK = (20, 21, 60)
 
@@ -30,11 +29,9 @@ def frame(k: int) -> FrameQuality:
 def judged(blind):
     """The flight without ground truth, with frames, and landmarks whose sigmas are 2 m north, 1 m east, 9 m up."""
     ids = np.arange(50, dtype=np.uint32)
-    information = np.diag([1.0] * 6 + [1.0, 1 / 4.0, 1 / 81.0] * 50)
     positions = np.column_stack([4.0 * ids, 20.0 * np.sin(ids), np.zeros(50)])
-    pose = Pose(np.eye(3), np.zeros(3))
-    joint = JointInformation(1, "uav1", 1, pose, ids, positions, information, np.zeros((50, 4), np.uint8))
-    vehicle = dataclasses.replace(blind.vehicles["uav1"], frames=tuple(map(frame, range(100))), joints=(joint,))
+    landmarks = MappedLandmarks(ids, positions, np.tile(np.diag([1.0, 4.0, 81.0]), (50, 1, 1)))
+    vehicle = dataclasses.replace(blind.vehicles["uav1"], frames=tuple(map(frame, range(100))), landmarks=landmarks)
     return dataclasses.replace(blind, vehicles={"uav1": vehicle})
 
 
@@ -108,9 +105,9 @@ def test_landmarks_are_drawn_true_to_scale_where_they_can_be_seen(judged):
 
 
 def test_ellipses_too_small_to_be_seen_are_enlarged_and_the_title_says_by_how_much(judged):
-    (joint,) = judged.vehicles["uav1"].joints
-    sharp = dataclasses.replace(joint, information=1e4 * joint.information)
-    vehicle = dataclasses.replace(judged.vehicles["uav1"], joints=(sharp,))
+    landmarks = judged.vehicles["uav1"].landmarks
+    sharp = dataclasses.replace(landmarks, covariances=1e-4 * landmarks.covariances)
+    vehicle = dataclasses.replace(judged.vehicles["uav1"], landmarks=sharp)
     axes = landmark_view(dataclasses.replace(judged, vehicles={"uav1": vehicle})).axes[0]
     (drawn,) = [one for one in axes.collections if isinstance(one, EllipseCollection)]
     np.testing.assert_allclose(drawn.get_widths(), 50 * 2 * 0.02)

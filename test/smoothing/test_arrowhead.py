@@ -59,11 +59,13 @@ def test_covariance_of_functions_of_some_blocks_equals_the_dense_one(first: int,
     assert np.allclose(found, dense, rtol=0, atol=TOLERANCE * dense.max())
 
 
-def test_the_system_is_not_modified() -> None:
+def test_the_factors_take_the_place_of_the_blocks_and_of_nothing_else() -> None:
     system, _, _ = filled(3, 4, 2, np.random.default_rng(1))
-    before = [system.diagonal.copy(), system.coupling.copy(), system.border.copy(), system.border_rhs.copy()]
-    marginal_covariances(factorise(system))
-    after = [system.diagonal, system.coupling, system.border, system.border_rhs]
+    before = [system.rhs.copy(), system.border.copy(), system.border_rhs.copy()]
+    factor = factorise(system)
+    marginal_covariances(factor)
+    assert factor.own is system.diagonal
+    after = [system.rhs, system.border, system.border_rhs]
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
 
 

@@ -9,8 +9,7 @@ import numpy as np
 from uav_vslam.evaluation.output import write_results
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.geometry.pose import Pose
-from uav_vslam.types import FrameQuality, JointInformation, LinkEpoch
+from uav_vslam.types import FrameQuality, LinkEpoch, MappedLandmarks
 
 START_NS = 10**18 + 7
 PERIOD_NS = 100_000_000
@@ -39,21 +38,11 @@ def frame(k: int) -> FrameQuality:
     )  # fmt: skip
 
 
-def joint(north_m: float) -> JointInformation:
-    """Return a belief over landmarks below the path."""
+def landmarks(north_m: float) -> MappedLandmarks:
+    """Return landmarks below the path."""
     ids = np.arange(LANDMARKS, dtype=np.uint32)
-    information = np.kron(np.eye(LANDMARKS + 2), np.linalg.inv(COVARIANCE))
     positions = np.column_stack([4.0 * ids, north_m + 20.0 * np.sin(ids), np.zeros(LANDMARKS)])
-    return JointInformation(
-        START_NS,
-        "uav1",
-        1,
-        Pose(np.eye(3), np.zeros(3)),
-        ids,
-        positions,
-        information,
-        np.zeros((LANDMARKS, 4), np.uint8),
-    )
+    return MappedLandmarks(ids, positions, np.tile(COVARIANCE, (LANDMARKS, 1, 1)))
 
 
 def vehicle(name: str, north_m: float) -> VehicleResult:
@@ -71,7 +60,7 @@ def vehicle(name: str, north_m: float) -> VehicleResult:
         frames_processed=FRAMES,
         frames=tuple(map(frame, range(FRAMES))),
         alarms={},
-        joints=(joint(north_m),),
+        landmarks=landmarks(north_m),
         link=LinkCounters(900.0, 9, 9, 8, {"stale": 1}),
         epochs=epochs,
         stage_s={"frontend": dict.fromkeys(stamps, 0.01), "backend": dict.fromkeys(stamps, 0.03)},

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_vslam.evaluation.landmarks import mapped_landmarks
-from uav_vslam.types import NS_PER_S, JointInformation, LinkEpoch
+from uav_vslam.types import NS_PER_S, LinkEpoch, MappedLandmarks
 
 TRAFFIC = ("packets_sent", "bytes_sent", "packets_received", "bytes_received", "packets_used")  # since the start
 COVARIANCE = ("cov_x_x", "cov_x_y", "cov_x_z", "cov_y_y", "cov_y_z", "cov_z_z")
@@ -36,10 +35,9 @@ def write_timing(stage_s: Mapping[str, Mapping[int, float]], path: Path) -> Path
     return _write(path, ("stamp_ns", "time_s", *(f"{stage}_ms" for stage in stage_s)), rows)
 
 
-def write_landmarks(joints: Sequence[JointInformation], path: Path) -> Path:
-    """Write each landmark in the map frame as it was last estimated, with its covariance [m^2]."""
-    found = mapped_landmarks(joints)
-    rows = zip(found.ids.tolist(), found.positions.tolist(), found.covariances, strict=True)
+def write_landmarks(landmarks: MappedLandmarks, path: Path) -> Path:
+    """Write each landmark in the map frame, with its covariance [m^2]."""
+    rows = zip(landmarks.ids.tolist(), landmarks.positions.tolist(), landmarks.covariances, strict=True)
     cells = ((key, *(f"{x:.4f}" for x in p), *(f"{x:.6g}" for x in P[UPPER].tolist())) for key, p, P in rows)
     return _write(path, ("id", "x_m", "y_m", "z_m", *COVARIANCE), cells)
 

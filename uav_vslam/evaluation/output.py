@@ -156,5 +156,5 @@ def _write_vehicles(result: FlightResult, folder: Path) -> None:
             write_link(vehicle.epochs, folder / f"{name}_link.csv")
         if any(vehicle.stage_s.values()):
             write_timing(vehicle.stage_s, folder / f"{name}_timing.csv")
-        if vehicle.joints:
-            write_landmarks(vehicle.joints, folder / f"{name}_landmarks.csv")
+        if vehicle.landmarks is not None:
+            write_landmarks(vehicle.landmarks, folder / f"{name}_landmarks.csv")

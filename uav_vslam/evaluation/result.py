@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.types import FrameQuality, JointInformation, LinkEpoch
+from uav_vslam.types import FrameQuality, LinkEpoch, MappedLandmarks
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class VehicleResult:
         frames: how each frame processed went, in stamp order; None if not recorded.
         alarms: camera and rig faults by the stamp [ns] of their frame; None if not recorded.
         dropped: frames that were not processed, by reason.
-        joints: beliefs over the map at epochs, in stamp order; empty if not recorded.
+        landmarks: each as last estimated at an epoch; None if not recorded.
         link: radio counters.
         epochs: traffic up to each fusion epoch, in stamp order; empty if not recorded.
         stage_s: processor time of a stage on each frame [s], by the stage's name and the stamp [ns]; empty if not
@@ -64,7 +64,7 @@ class VehicleResult:
     frames: tuple[FrameQuality, ...] | None = None
     alarms: dict[int, tuple[str, ...]] | None = None
     dropped: dict[str, int] = field(default_factory=dict)
-    joints: tuple[JointInformation, ...] = ()
+    landmarks: MappedLandmarks | None = None
     link: LinkCounters = field(default_factory=LinkCounters)
     epochs: tuple[LinkEpoch, ...] = ()
     stage_s: dict[str, dict[int, float]] = field(default_factory=dict)

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet: own-only tracks, then packets and fusion.
+"""A fleet: the own-only tracks of its vehicles, fused as they grow.
 
 Own-only tracks are independent, so each vehicle has a worker process if cores allow. The result is the same, bit for
-bit, for any number of workers.
+bit, for any number of workers. The beliefs that are fused take megabytes each; none outlives its epoch.
 """
 
 from collections.abc import Callable
+from contextlib import closing
 from functools import partial
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.fleet import CooperativeTrack, PacketLink, cooperate
+from uav_vslam.fleet import CooperativeTrack, Fleet, PacketLink
 from uav_vslam.offline.source import FlightSource
-from uav_vslam.offline.track import track_vehicle
-from uav_vslam.offline.workers import track_in_workers
+from uav_vslam.offline.workers import FlightGroup, WorkerFlights
 from uav_vslam.pipeline import VehicleTrack
 
 
@@ -40,12 +40,23 @@ def fly(
         keep_maps: in the tracks.
 
     Returns:
-        Own-only and cooperative tracks by vehicle.
+        Own-only tracks, without joint information, and cooperative ones, by vehicle.
     """
-    track = partial(track_vehicle, keep_features=keep_features, smoothing=smoothing, keep_map=keep_maps)
-    if workers == 1 or len(sources) == 1:
-        tracks = [track(source, configs[source.vehicle], lambda: on_frame(1)) for source in sources]
-    else:
-        tracks = track_in_workers(track, sources, configs, workers, on_frame)
-    by_name = {track.vehicle: track for track in tracks}
-    return by_name, cooperate(by_name, configs, links)
+    vehicles = [source.vehicle for source in sources]
+    group = partial(
+        FlightGroup,
+        configs=configs,
+        keep_features=keep_features,
+        keep_joints=False,
+        keep_map=keep_maps,
+        smoothing=smoothing,
+    )
+    parts = [sources[k::workers] for k in range(min(workers, len(sources)))]
+    flights = group(sources) if len(parts) == 1 else WorkerFlights(group, parts)
+    fleet = Fleet(vehicles, configs, links)
+    with closing(flights.frames()) as frames:
+        for vehicle, output in frames:
+            fleet.add(vehicle, output)
+            on_frame(1)
+    fleet.land()
+    return {vehicle: flights.tracks[vehicle] for vehicle in vehicles}, fleet.members

@@ -92,7 +92,7 @@ def _vehicle_result(
         frames=tuple(output.quality for output in track.outputs),
         alarms=track.alarms_at,
         dropped=track.dropped,
-        joints=tuple(output.joint for output in track.outputs if output.joint is not None),
+        landmarks=track.landmarks.landmarks(),
         link=link_counters(member) if member else LinkCounters(),
         epochs=tuple(member.epochs) if member else (),
         stage_s=track.stage_s | ({"fusion": member.fusion_s} if member else {}),

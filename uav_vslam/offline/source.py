@@ -38,7 +38,11 @@ class FlightSource(Protocol):
 
 
 def start_state(source: FlightSource, config: VehicleConfig) -> NavEstimate | None:
-    """Return the start state, None if it is to be estimated in flight."""
+    """Return the start state, None if it is to be estimated in flight.
+
+    Raises:
+        UavVslamError: there is none, or the vehicle does not rest where it is to be found at rest.
+    """
     if config.start.searches:
         return None
     if config.start.method == "static":
@@ -60,4 +64,7 @@ def _static_start(source: FlightSource, config: VehicleConfig) -> NavEstimate:
         samples.append(event)
         if event.stamp_ns - samples[0].stamp_ns >= config.start.rest_s * NS_PER_S:
             break
-    return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)
+    try:
+        return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)
+    except UavVslamError as error:
+        raise UavVslamError(f"{source.vehicle}: {error}") from error

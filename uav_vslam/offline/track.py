@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A vehicle's own-only pipeline over its data; a flight without a result, or one in doubt, says why."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import cv2
@@ -14,69 +14,100 @@ from uav_vslam.offline.source import FlightSource, start_state
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
 from uav_vslam.slam.saved_map import Mapped
+from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.smoother import smooth
 
 COASTING_SHARE = 0.5  # of the frames, from which the whole flight is in doubt
 
 
-def track_vehicle(
-    source: FlightSource,
-    config: VehicleConfig,
-    on_frame: Callable[[], None] = lambda: None,
-    *,
-    keep_features: bool = False,
-    smoothing: bool = False,
-    keep_map: bool = False,
-) -> VehicleTrack:
-    """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
+class VehicleFlight:
+    """One vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
 
-    Args:
-        source: sensor data.
-        config: of the vehicle.
-        on_frame: called after each frame.
-        keep_features: in the track, for pictures.
-        smoothing: smooth the whole flight afterwards, and the map.
-        keep_map: in the track.
-
-    Raises:
-        UavVslamError: the source has no start state and the configuration does not set how to find one, or none was
-            found; no frame was processed, or no IMU reading used.
+    Iterate once over its outputs; `track` is complete afterwards.
     """
-    cv2.setNumThreads(1)
-    pipeline = VehiclePipeline(
-        start_state(source, config),
-        rig=source.rig,
-        config=config,
-        vehicle=source.vehicle,
-        keep_features=keep_features or smoothing,
-        keep_map=keep_map,
-    )
-    try:
-        for _ in pipeline.run(source.iter_events()):
-            on_frame()
-    except BagError as error:
-        pipeline.track.broken = str(error)
-    if pipeline.missing_start:
-        raise UavVslamError(
-            f"{source.vehicle}: none of {pipeline.track.frames_in} frames allowed a start in flight; "
-            f"the last: {pipeline.missing_start}"
+
+    def __init__(
+        self,
+        source: FlightSource,
+        config: VehicleConfig,
+        *,
+        keep_features: bool = False,
+        keep_joints: bool = True,
+        keep_map: bool = False,
+        smoothing: bool = False,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            source: sensor data.
+            config: of the vehicle.
+            keep_features: in the track, for pictures.
+            keep_joints: in the track, to be fused afterwards.
+            keep_map: in the track.
+            smoothing: smooth the whole flight afterwards, and the map.
+
+        Raises:
+            UavVslamError: the source has no start state and the configuration does not set how to find one.
+        """
+        cv2.setNumThreads(1)
+        self._source, self._config = source, config
+        self._keep_features, self._keep_map, self._smoothing = keep_features, keep_map, smoothing
+        self._pipeline = VehiclePipeline(
+            start_state(source, config),
+            rig=source.rig,
+            config=config,
+            vehicle=source.vehicle,
+            keep_features=keep_features or smoothing,
+            keep_joints=keep_joints,
+            keep_map=keep_map,
         )
-    _count_unpaired(source, pipeline.track)
-    _check_measured(pipeline.track)
-    _report_coasting(pipeline.track)
-    mapped = None
-    if keep_map:
-        with _warning_of(pipeline.track, "the map could not be saved"):
-            mapped = pipeline.mapped()
-    if smoothing:
-        mapped = smooth_track(pipeline.track, source.rig, config, mapped)
-    if mapped is not None:
-        with _warning_of(pipeline.track, "the map could not be saved"):
-            pipeline.track.saved_map = mapped.saved_map()
-    if not keep_features:
-        pipeline.track.features.clear()
-    return pipeline.track
+
+    @property
+    def track(self) -> VehicleTrack:
+        """The flight so far."""
+        return self._pipeline.track
+
+    def __iter__(self) -> Iterator[FrameOutput]:
+        """Yield the output of each frame.
+
+        Raises:
+            UavVslamError: no start state was found, no frame was processed, or no IMU reading used.
+        """
+        try:
+            yield from self._pipeline.run(self._source.iter_events())
+        except BagError as error:
+            self.track.broken = str(error)
+        if self._pipeline.missing_start:
+            raise UavVslamError(
+                f"{self.track.vehicle}: none of {self.track.frames_in} frames allowed a start in flight; "
+                f"the last: {self._pipeline.missing_start}"
+            )
+        _count_unpaired(self._source, self.track)
+        _check_measured(self.track)
+        _report_coasting(self.track)
+        self._finish()
+
+    def _finish(self) -> None:
+        mapped = None
+        if self._keep_map:
+            with _warning_of(self.track, "the map could not be saved"):
+                mapped = self._pipeline.mapped()
+        if self._smoothing:
+            mapped = smooth_track(self.track, self._source.rig, self._config, mapped)
+        if mapped is not None:
+            with _warning_of(self.track, "the map could not be saved"):
+                self.track.saved_map = mapped.saved_map()
+        if not self._keep_features:
+            self.track.features.clear()
+
+
+def track_vehicle(source: FlightSource, config: VehicleConfig, **options: bool) -> VehicleTrack:
+    """Return the track of a whole `VehicleFlight`, which takes the same arguments and raises the same errors."""
+    flight = VehicleFlight(source, config, **options)
+    for _ in flight:
+        pass
+    return flight.track
 
 
 def smooth_track(

@@ -1,60 +1,93 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process for each vehicle as far as cores allow, and the progress of all."""
+"""Own-only flights as one sequence of frames, from this process or from workers that fly some frames ahead."""
 
-import multiprocessing
-import time
-from collections.abc import Callable
-from concurrent.futures import Future
-from typing import Any
+import itertools
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import ExitStack
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.fleet import in_stamp_order, named
 from uav_vslam.offline.source import FlightSource
+from uav_vslam.offline.track import VehicleFlight
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.processes import worker_pool
+from uav_vslam.slam.stage import FrameOutput
 
-POLL_S = 0.2
+Frame = tuple[str, FrameOutput]  # with the vehicle's name
+BATCH = 8  # frames that a worker returns at a time
+AHEAD = 32  # batches that a worker may be ahead: 40 s of flight, 100 MB of beliefs over 200 landmarks
 
-_progress: Any = None  # a worker's queue to report finished frames
+
+class FlightGroup:
+    """Vehicles that fly in this process; takes the options of a `VehicleFlight`."""
+
+    def __init__(self, sources: Sequence[FlightSource], configs: dict[str, VehicleConfig], **options: bool) -> None:
+        self._flights = [VehicleFlight(source, configs[source.vehicle], **options) for source in sources]
+
+    def frames(self) -> Generator[Frame]:
+        """Yield the output of each frame by stamp and vehicle."""
+        yield from in_stamp_order(named(flight.track.vehicle, flight) for flight in self._flights)
+
+    @property
+    def tracks(self) -> dict[str, VehicleTrack]:
+        """By vehicle; complete after the last frame."""
+        return {flight.track.vehicle: flight.track for flight in self._flights}
 
 
-def track_in_workers(
-    track: Callable[..., VehicleTrack],
-    sources: list[FlightSource],
-    configs: dict[str, VehicleConfig],
-    workers: int,
-    on_frame: Callable[[int], None],
-) -> list[VehicleTrack]:
-    """Return the sources' tracks, in their order; `track` takes a source, its configuration and a call for each frame.
+class WorkerFlights:
+    """Groups of vehicles, each in a process of its own.
 
-    Args:
-        track: picklable.
-        sources: one per vehicle.
-        configs: by vehicle.
-        workers: processes at most.
-        on_frame: called with the number of frames processed since the last call.
+    Attributes:
+        tracks: by vehicle; empty before the last frame.
     """
-    queue = multiprocessing.get_context("spawn").Queue()
-    with worker_pool(min(workers, len(sources)), _init_worker, queue) as pool:
-        futures: list[Future[VehicleTrack]] = [
-            pool.submit(_track_for_pool, track, s, configs[s.vehicle]) for s in sources
-        ]
-        while not all(future.done() for future in futures):
-            time.sleep(POLL_S)
-            on_frame(_drain(queue))
-        return [future.result() for future in futures]
+
+    def __init__(
+        self, group: Callable[[Sequence[FlightSource]], FlightGroup], parts: Sequence[Sequence[FlightSource]]
+    ) -> None:
+        """Prepare; `group` is called with each of the parts in its process."""
+        self.tracks: dict[str, VehicleTrack] = {}
+        self._group, self._parts = group, parts
+
+    def frames(self) -> Generator[Frame]:
+        """Yield the output of each frame by stamp and vehicle.
+
+        Raises:
+            WorkerEnded: the system has ended a worker.
+        """
+        with ExitStack() as stack:
+            pools = [stack.enter_context(worker_pool(1)) for _ in self._parts]
+            begun = [pool.submit(_begin, self._group, part) for pool, part in zip(pools, self._parts, strict=True)]
+            batches = [deque(pool.submit(_next_batch) for _ in range(AHEAD)) for pool in pools]
+            for future in begun:
+                future.result()
+            yield from in_stamp_order(map(_received, pools, batches))
+            for pool in pools:
+                self.tracks |= pool.submit(_tracks).result()
 
 
-def _init_worker(queue: Any) -> None:
-    global _progress
-    _progress = queue
+def _received(pool: ProcessPoolExecutor, batches: deque[Future[list[Frame]]]) -> Iterator[Frame]:
+    """Yield the frames of a worker, and let it go on as they are taken."""
+    while batch := batches.popleft().result():
+        batches.append(pool.submit(_next_batch))
+        yield from batch
 
 
-def _track_for_pool(track: Callable[..., VehicleTrack], source: FlightSource, config: VehicleConfig) -> VehicleTrack:
-    return track(source, config, lambda: _progress.put(1))
+# In a worker: its only group, and the frames that are left.
+_flights: FlightGroup
+_frames: Iterator[Frame]
 
 
-def _drain(queue: Any) -> int:
-    count = 0
-    while not queue.empty():
-        count += queue.get()
-    return count
+def _begin(group: Callable[[Sequence[FlightSource]], FlightGroup], part: Sequence[FlightSource]) -> None:
+    global _flights, _frames
+    _flights = group(part)
+    _frames = _flights.frames()
+
+
+def _next_batch() -> list[Frame]:
+    return list(itertools.islice(_frames, BATCH))
+
+
+def _tracks() -> dict[str, VehicleTrack]:
+    return _flights.tracks

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.landmarks import MappedLandmarks, mapped_landmarks
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.style import LINE_COLOURS, clean
+from uav_vslam.types import MappedLandmarks
 
 Array = NDArray[np.float64]
 Maps = dict[str, MappedLandmarks]
@@ -54,8 +54,7 @@ def landmark_view(result: FlightResult) -> Figure | None:
 
 def known_landmarks(result: FlightResult) -> Maps:
     """Return the landmarks of each vehicle whose map was recorded."""
-    maps = {name: mapped_landmarks(vehicle.joints) for name, vehicle in result.vehicles.items()}
-    return {name: landmarks for name, landmarks in maps.items() if len(landmarks)}
+    return {name: vehicle.landmarks for name, vehicle in result.vehicles.items() if vehicle.landmarks}
 
 
 def draw_landmarks(axes: Axes, maps: Maps, size_m: float) -> int:

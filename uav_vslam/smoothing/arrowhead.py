@@ -78,15 +78,13 @@ class Factor:
 def factorise(system: Arrowhead) -> Factor:
     """Eliminate block after block, then solve.
 
+    The factors take the place of D, B and C in the system: those of a long flight fill the memory once, not twice.
+
     Raises:
         FilterDivergence: H is not positive definite.
     """
     blocks = len(system.diagonal)
-    own, on_next, on_border = (
-        np.empty_like(system.diagonal),
-        np.empty_like(system.below),
-        np.empty_like(system.coupling),
-    )
+    own, on_next, on_border = system.diagonal, system.below, system.coupling
     forward = np.empty_like(system.rhs)
     D, C, g = system.diagonal[0], system.coupling[0], system.rhs[0]
     E, border_rhs = system.border.copy(), system.border_rhs.copy()

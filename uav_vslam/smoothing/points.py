@@ -12,6 +12,7 @@ from uav_vslam.smoothing.views import HUBER, POINT_DIM, Ties, linearise
 Array = NDArray[np.float64]
 
 LEAST_POINTS = 30  # to measure the noise
+BLOCK = 32  # states, whose points are linearised at a time
 
 
 def triangulated(sightings: Sightings, cameras: Cameras) -> Array:
@@ -33,11 +34,17 @@ def revisited(sightings: Sightings, points: Array) -> Array:
     return points[linked[first], :3].copy()
 
 
+def misfits(sightings: Sightings, cameras: Cameras, points: Array, noise: PixelNoise) -> Array:
+    """Return (M,) squared lengths of the normalised residuals; in parts, as the Jacobians of all fill the memory."""
+    parts = (linearise(part, cameras, points[own], noise) for _, own, part in sightings.by_block(BLOCK))
+    return np.concatenate([np.zeros(0), *(part.misfit for part in parts)])
+
+
 def residual_px(sightings: Sightings, cameras: Cameras, points: Array, noise: PixelNoise) -> float | None:
     """Return the typical residual [px], by the median over the observations; None for too few points."""
     if len(points) < LEAST_POINTS:
         return None
-    misfit = linearise(sightings, cameras, points, noise).misfit
+    misfit = misfits(sightings, cameras, points, noise)
     freedom = 4.0 - 3.0 / np.bincount(sightings.points)[sightings.points]  # a point's position is fitted, too
     return float(noise.white_px * np.sqrt(np.median(misfit / (2.0 * gammaincinv(0.5 * freedom, 0.5)))))
 
@@ -49,7 +56,7 @@ def fitting(
 
     Two views are enough, and one of a revisited landmark: it ties its state to the landmark's other views.
     """
-    misfit = linearise(sightings, cameras, points, noise).misfit
+    misfit = misfits(sightings, cameras, points, noise)
     right, count = misfit <= noise.cut**2, len(points)
     views = np.bincount(sightings.points, weights=right, minlength=count)
     of_views = np.bincount(sightings.points, weights=misfit * right, minlength=count)

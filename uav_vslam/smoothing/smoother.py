@@ -195,10 +195,12 @@ def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig, mapped
     for step in range(1, MAX_STEPS + 1):
         if step == GATED_AFTER + 1:
             problem.gate()
+        last = None  # its memory, as the next step needs as much again
         last = problem.step()
         near = step > GATED_AFTER and last.decrement < LOST
         if near and not problem.untie() and last.decrement < SETTLED:
             break
+    assert last is not None
     if not last.decrement < LOST:
         raise FilterDivergence(f"after {step} steps the smoothed states still moved by {last.decrement:.1f} sigma")
     marginals = marginal_covariances(last.factor)

@@ -6,9 +6,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_vslam.evaluation.landmarks import mapped_landmarks
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.types import JointInformation
+from uav_vslam.slam.landmark_record import LandmarkRecord
+from uav_vslam.types import JointInformation, MappedLandmarks
 
 
 def joint(epoch: int, ids: list[int]) -> JointInformation:
@@ -27,11 +27,18 @@ def joint(epoch: int, ids: list[int]) -> JointInformation:
     )
 
 
+def recorded(joints: list[JointInformation]) -> MappedLandmarks:
+    record = LandmarkRecord()
+    for one in joints:
+        record.add(one)
+    return record.landmarks()
+
+
 def test_each_landmark_is_that_of_the_last_epoch_that_held_it() -> None:
     joints = [joint(0, [1, 2, 3]), joint(1, [2, 3, 4]), joint(2, [4, 2])]
     last = {1: (0, 0), 3: (1, 1), 4: (2, 0), 2: (2, 1)}  # epoch and row
-    found = mapped_landmarks(joints)
-    assert sorted(found.ids.tolist()) == sorted(last)
+    found = recorded(joints)
+    assert found.ids.tolist() == sorted(last)
     for identifier, position, covariance in zip(found.ids.tolist(), found.positions, found.covariances, strict=True):
         epoch, row = last[identifier]
         np.testing.assert_array_equal(position, joints[epoch].positions[row])
@@ -41,10 +48,10 @@ def test_each_landmark_is_that_of_the_last_epoch_that_held_it() -> None:
 
 @pytest.mark.parametrize("joints", [[], [joint(0, [])]])
 def test_a_flight_without_landmarks_has_an_empty_map(joints: list[JointInformation]) -> None:
-    found = mapped_landmarks(joints)
+    found = recorded(joints)
     assert (found.ids.shape, found.positions.shape, found.covariances.shape) == ((0,), (0, 3), (0, 3, 3))
 
 
 def test_an_epoch_that_is_not_positive_definite_is_passed_over() -> None:
     lost = dataclasses.replace(joint(1, [1, 9]), information=-np.eye(12))
-    assert mapped_landmarks([joint(0, [1]), lost]).ids.tolist() == [1]
+    assert recorded([joint(0, [1]), lost]).ids.tolist() == [1]
