@@ -13,7 +13,7 @@ from increment_error import shifted
 from numpy.typing import ArrayLike, NDArray
 from position_nees import position_nees
 
-from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.config import BackendConfig, RigConfig, VehicleConfig
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
@@ -45,10 +45,12 @@ class Flown:
             frames.append((features, step))
         return frames
 
-    def tracking_stage(self, sigma_px: float) -> SlamStage:
+    def tracking_stage(self, sigma_px: float, *, readout_s: float = 0.0) -> SlamStage:
         """Return a stage that has rig and start state, for points with tracks of that noise."""
         backend = BackendConfig(sigma_px=sigma_px, track_sigma_px=2.0 * sigma_px)
-        stage = SlamStage(VehicleConfig(imu=self.vehicle.scenario.imu_config, backend=backend), vehicle="uav1")
+        rig = RigConfig(readout_s=readout_s)
+        config = VehicleConfig(imu=self.vehicle.scenario.imu_config, backend=backend, rig=rig)
+        stage = SlamStage(config, vehicle="uav1")
         stage.rig = self.vehicle.rig
         stage.start(self.vehicle.initial)
         return stage
@@ -63,10 +65,10 @@ class Flown:
         return np.array(errors), np.array(nees)
 
 
-def _tracked(vehicle: SimulatedVehicle, sigma_px: float) -> list[StereoFeatures]:
+def _tracked(vehicle: SimulatedVehicle, noise: LandmarkNoise) -> list[StereoFeatures]:
     """Return features whose tracks follow the landmarks that they show; a landmark missed in a frame gets a new one."""
     frames, numbers, lost = [], {}, 0
-    for features, ids in observe(vehicle, scatter_landmarks([vehicle]), noise=LandmarkNoise(sigma_px=sigma_px)):
+    for features, ids in observe(vehicle, scatter_landmarks([vehicle]), noise=noise):
         old, numbers = numbers, {}
         for identity in ids.tolist():
             lost += identity not in old
@@ -82,6 +84,7 @@ def _flown(
     frames: int = 24,
     imu: str = "adis16480",
     tracked_px: float | None = None,
+    readout_s: float = 0.0,
     **truth: float,
 ) -> Flown:
     scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, vehicles=1, imu=imu, **truth)
@@ -94,16 +97,17 @@ def _flown(
     if tracked_px is None:
         features = [seen for seen, _ in observe(vehicle, scatter_landmarks([vehicle]))]
     else:
-        features = _tracked(vehicle, tracked_px)
+        features = _tracked(vehicle, LandmarkNoise(sigma_px=tracked_px, readout_s=readout_s))
     return Flown(vehicle, tuple(zip(features, [None, *steps], strict=True)))
 
 
 @pytest.fixture(scope="session")
 def flown() -> Callable[..., Flown]:
-    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480", tracked_px=None, **truth)`.
+    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480", tracked_px=None, readout_s=0, **truth)`.
 
     `truth` is what else differs from the scenario `kagaru`.
 
-    With `tracked_px`, the standard deviation of each pixel coordinate, the points have tracks.
+    With `tracked_px`, the standard deviation of each pixel coordinate, the points have tracks, and the cameras may have
+    a rolling shutter.
     """
     return _flown

@@ -63,6 +63,14 @@ class RigConfig(Settings):
     time_offset_sigma_s: float = setting(
         3.0e-3, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
     )
+    readout_s: float = setting(
+        0.0,
+        "rolling shutter: from the exposure of an image's first row to that of the last, negative if that is the "
+        "earlier one; 0: a global shutter",
+        unit="s",
+        at_least=-0.1,
+        at_most=0.1,
+    )
 
     def _check_together(self) -> None:
         if 0.0 < self.disparity_sigma_px < LEAST_DISPARITY_SIGMA_PX:

@@ -13,10 +13,12 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.offline.source import FlightSource, start_state
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
+from uav_vslam.slam.rolling_shutter import exposed_at_once
 from uav_vslam.slam.saved_map import Mapped
 from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.smoother import smooth
+from uav_vslam.types import StereoFeatures
 
 COASTING_SHARE = 0.5  # of the frames, from which the whole flight is in doubt
 
@@ -117,10 +119,20 @@ def smooth_track(
     if track.start is None or not track.outputs:
         return mapped
     with _warning_of(track, "the flight could not be smoothed"):
-        flight = FilteredFlight.of_outputs(track.start, track.outputs, track.features)
+        flight = FilteredFlight.of_outputs(track.start, track.outputs, _exposed_at_once(track, rig, config))
         found = smooth(flight, rig, config, mapped)
         track.smoothed, mapped = [estimate.pose for estimate in found.estimates], found.mapped
     return mapped
+
+
+def _exposed_at_once(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> dict[int, StereoFeatures]:
+    """Return a track's features as the back end used them."""
+    found = {}
+    for output in track.outputs:
+        nav = output.report.nav.state
+        shown = track.features[nav.stamp_ns]
+        found[nav.stamp_ns] = exposed_at_once(shown, nav, output.increment, rig=rig, readout_s=config.rig.readout_s)
+    return found
 
 
 @contextmanager

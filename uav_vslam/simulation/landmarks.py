@@ -23,6 +23,7 @@ PER_FRAME = 44.0  # landmarks in view of both cameras on average
 LOOKALIKE_PX = (3.0, 15.0)  # offset of a look-alike, in image and disparity together
 TWIN_M = (1.0, 6.0)  # distance of two landmarks with equal descriptors: not confused while well tracked
 LEAST_DISPARITY = 0.5  # minimum share of the disparity that a look-alike keeps: its depth stays finite
+ROW_STEPS = 3  # fixed-point steps from a point's row to the time when it is exposed, and back
 REACH_PER_ALTITUDE = 2.0  # ground farther than this from the nadir is never in view
 
 
@@ -50,6 +51,7 @@ class LandmarkNoise:
         lookalike_share: share of the features moved to a similar point a few pixels away: such wrong matches pass a
             gate.
         missed_share: share of the landmarks in view that are not detected, drawn independently per frame.
+        readout_s: of a rolling shutter whose middle row is exposed at the stamp, see `rig.readout_s`; 0: a global one.
     """
 
     sigma_px: float = 1.0
@@ -57,6 +59,7 @@ class LandmarkNoise:
     wrong_share: float = 0.0
     lookalike_share: float = 0.0
     missed_share: float = 0.0
+    readout_s: float = 0.0
 
 
 def scatter_landmarks(
@@ -103,6 +106,10 @@ def observe(
         near = _near(landmarks.points_world, positions[frame], REACH_PER_ALTITUDE * vehicle.scenario.altitude)
         points_body = (landmarks.points_world[near] - positions[frame]) @ rotations[frame]
         pixels, seen = _project(vehicle.true_rig(frame), points_body)
+        if noise.readout_s:
+            pixels = _exposed_by_rows(vehicle, frame, landmarks.points_world[near[seen]], pixels, noise.readout_s)
+            inside = _inside(vehicle.rig, pixels)
+            pixels, seen[seen] = pixels[inside], inside
         if noise.missed_share > 0:
             found = rng.random(len(pixels)) >= noise.missed_share
             pixels, seen[seen] = pixels[found], found
@@ -143,6 +150,22 @@ def _project(rig: StereoRig, points_body: Array) -> tuple[Array, NDArray[np.bool
     pixels = rig.project(np.where(in_front[:, None], points_left, [0.0, 0.0, 1.0]))
     seen = in_front & _inside(rig, pixels)
     return pixels[seen], seen
+
+
+def _exposed_by_rows(
+    vehicle: SimulatedVehicle, frame: int, points_world: Array, pixels: Array, readout_s: float
+) -> Array:
+    """Return the (K, 4) pixels of points each at the time of its row, from those at the stamp."""
+    rig, stamp_s = vehicle.true_rig(frame), vehicle.frame_times_s[frame]
+    for _ in range(ROW_STEPS):
+        parts = []
+        for camera, columns in ((rig.left, slice(0, 2)), (rig.right, slice(2, 4))):
+            times = stamp_s + readout_s * ((pixels[:, columns.stop - 1] + 0.5) / camera.height - 0.5)
+            apart = points_world - vehicle.truth.position(times)
+            points_body = np.einsum("nji,nj->ni", vehicle.truth.rotation(times), apart)
+            parts.append(rig.project(rig.T_body_left.inverse().apply(points_body))[:, columns])
+        pixels = np.hstack(parts)
+    return pixels
 
 
 def _inside(rig: StereoRig, pixels: Array) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.increments import bridged, lacks_readings, unknown_motion_since
 from uav_vslam.ins.preintegrator import DeadReckoning
+from uav_vslam.ins.propagation import propagate
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.bias_steps import BiasStepMonitor
@@ -25,8 +26,10 @@ from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.noise_monitor import NoiseMonitor
 from uav_vslam.slam.rig_monitor import RigMonitor
+from uav_vslam.slam.rolling_shutter import exposed_at_once
 from uav_vslam.slam.saved_map import MapOrigin, Mapped, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
+from uav_vslam.slam.shutter_monitor import ShutterMonitor
 from uav_vslam.slam.start_watch import StartWatch
 from uav_vslam.types import (
     NS_PER_S,
@@ -34,6 +37,7 @@ from uav_vslam.types import (
     ImuIncrement,
     JointInformation,
     NavEstimate,
+    NavState,
     StereoFeatures,
 )
 
@@ -107,6 +111,7 @@ class SlamStage:
         self._backend: SlamBackend | None = None
         self._start_watch = StartWatch(config.start.method, config.imu)
         self._rig_monitor, self._noise_monitor = RigMonitor(config.rig), NoiseMonitor(config.imu)
+        self._shutter = ShutterMonitor(config.rig.readout_s)
         self._bias_steps = BiasStepMonitor()
         self._clock: ClockOffsetMonitor | None = None
         self._dead_reckoning = DeadReckoning(config.imu)
@@ -313,6 +318,7 @@ class SlamStage:
             )
         backend = self._backend
         increment = self._motion(backend, features.stamp_ns, increment)
+        shown, features = features, self._exposed_at_once(rig, backend.nav.state, features, increment)
         self._clock = self._clock or ClockOffsetMonitor(backend)
         report = backend.process(features, increment)
         backend, report, of_clock = self._clock.check(backend, features, increment, report, self._config)
@@ -332,7 +338,8 @@ class SlamStage:
             self._bias_steps, self._clock = BiasStepMonitor(), ClockOffsetMonitor(backend)
         of_map = self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
-        warnings = (self._start_warning, *noisy, of_clock, of_start, of_map, self._warning(report))
+        of_shutter = self._shutter_warning(backend, shown, report, increment)
+        warnings = (self._start_warning, *noisy, of_clock, of_shutter, of_start, of_map, self._warning(report))
         self._start_warning = ""
         return FrameOutput(report, dead_reckoned, joint, increment, tuple(text for text in warnings if text))
 
@@ -396,6 +403,22 @@ class SlamStage:
         configured_px = self._config.backend.track_sigma_px
         found = [self._noise_monitor.add_tracks(track_sigma_px, configured_px=configured_px)]
         return found if increment is None else [*found, self._noise_monitor.add(increment)]
+
+    def _exposed_at_once(
+        self, rig: StereoRig, before: NavState, features: StereoFeatures, increment: ImuIncrement | None
+    ) -> StereoFeatures:
+        """Return what a global shutter would show, by the motion from the estimate before."""
+        nav = before if increment is None else propagate(before, increment, gravity=self._config.imu.gravity)
+        return exposed_at_once(features, nav, increment, rig=rig, readout_s=self._config.rig.readout_s)
+
+    def _shutter_warning(
+        self, backend: SlamBackend, shown: StereoFeatures, report: FrameReport, increment: ImuIncrement | None
+    ) -> str:
+        assert self.rig is not None
+        if increment is None or lacks_readings(increment) or backend.imu_fault or report.recovery:
+            self._shutter.interrupt()
+            return ""
+        return self._shutter.add(shown, report.nav.state, increment, self.rig)
 
     def _warning(self, report: FrameReport) -> str:
         if report.recovery:

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras that expose one row after another: undone where it is configured, measured and named where it is not."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from fed_stage import feed
+
+from uav_vslam.offline.track import track_vehicle
+from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.rolling_shutter import exposed_at_once
+from uav_vslam.slam.shutter_monitor import ShutterMonitor
+from uav_vslam.slam.stage import FrameOutput
+
+PX = 0.05
+NAMED = "the rows of an image are exposed one after another"
+
+
+def named(outputs: list[FrameOutput]) -> list[str]:
+    return [text for output in outputs for text in output.warnings if NAMED in text]
+
+
+@pytest.mark.parametrize("readout_s", [0.02, -0.02])
+def test_points_are_where_a_global_shutter_shows_them(flown, readout_s: float) -> None:
+    flight = flown(3, frames=24, tracked_px=1e-6)
+    vehicle, landmarks = flight.vehicle, scatter_landmarks([flight.vehicle])
+    shown = observe(vehicle, landmarks, noise=LandmarkNoise(sigma_px=1e-6, readout_s=readout_s))
+    at_once = observe(vehicle, landmarks, noise=LandmarkNoise(sigma_px=1e-6))
+    off, left = [], []
+    for (rolled, seen), (right, truly), (_, increment) in zip(shown, at_once, flight.frames, strict=True):
+        if increment is None:
+            continue
+        nav = vehicle.true_state(rolled.stamp_ns)
+        undone = exposed_at_once(rolled, nav, increment, rig=vehicle.rig, readout_s=readout_s)
+        _, rows, others = np.intersect1d(seen, truly, return_indices=True)
+        off.append(np.abs(rolled.pixels[rows] - right.pixels[others]))
+        left.append(np.abs(undone.pixels[rows] - right.pixels[others]))
+    assert np.percentile(np.vstack(off), 95) > 3.0
+    assert np.percentile(np.vstack(left), 95) < 0.08  # gusts after the stamp
+    assert np.vstack(left).max() < 0.2
+
+
+def test_a_global_shutter_costs_nothing_and_the_first_frame_of_a_rolling_one_is_not_used(flown) -> None:
+    flight = flown(3, frames=24, tracked_px=PX)
+    features, nav = flight.frames[0][0], flight.vehicle.initial.state
+    assert exposed_at_once(features, nav, None, rig=flight.vehicle.rig, readout_s=0.0) is features
+    first = exposed_at_once(features, nav, None, rig=flight.vehicle.rig, readout_s=0.01)
+    assert (len(first), first.stamp_ns) == (0, features.stamp_ns)
+
+
+@pytest.mark.parametrize(("seed", "readout_s"), [(1, 0.01), (2, 0.02), (3, -0.015)])
+def test_a_known_readout_costs_next_to_nothing(flown, seed: int, readout_s: float) -> None:
+    flight = flown(seed, frames=70, tracked_px=PX, readout_s=readout_s)
+    found = feed(flight.tracking_stage(PX, readout_s=readout_s), flight.frames)
+    right = flown(seed, frames=70, tracked_px=PX)
+    assert not any(output.warnings or output.report.recovery for output in found)
+    assert not any(output.report.coasted for output in found[2:])  # the second frame is the first one used
+    errors, nees = flight.errors_and_nees(found)
+    of_global = right.errors_and_nees(feed(right.tracking_stage(PX), right.frames))[0]
+    assert nees.mean() < 1.5
+    assert errors[-1] < 1.5 * of_global[-1] + 0.2
+
+
+@pytest.mark.parametrize(("seed", "readout_s"), [(1, 0.003), (2, 0.01), (3, 0.02)])
+def test_a_readout_that_is_not_configured_is_measured_and_named(flown, seed: int, readout_s: float) -> None:
+    """Even where it leads the filter astray meanwhile."""
+    flight = flown(seed, frames=60, tracked_px=PX, readout_s=readout_s)
+    (warning,) = named(feed(flight.tracking_stage(PX), flight.frames))
+    found_ms, sigma_ms = map(float, re.search(r"last one (\S+) ms ± (\S+) ms after the first", warning).groups())
+    assert sigma_ms < 0.2
+    assert found_ms == pytest.approx(1e3 * readout_s, rel=0.02, abs=4.0 * sigma_ms)
+    assert f"set that to {1e-3 * found_ms:.5f};" in warning
+
+
+def test_a_global_shutter_is_not_suspected(flown) -> None:
+    for seed in range(1, 9):
+        flight = flown(seed, frames=40, tracked_px=PX)
+        stage = flight.tracking_stage(PX)
+        assert named(feed(stage, flight.frames)) == []
+        assert not stage._shutter._watching  # it has been judged
+
+
+def test_pairs_about_an_unknown_motion_do_not_count(flown) -> None:
+    flight = flown(1, frames=40, tracked_px=PX)
+    stage = flight.tracking_stage(PX)
+    monitor = ShutterMonitor(0.0)
+    stage._shutter = monitor
+    feed(stage, flight.frames[:10])
+    pairs = monitor._found.count
+    assert pairs > 5
+    monitor.interrupt()
+    feed(stage, flight.frames[10:12])
+    assert monitor._found.count == pairs + 1
+
+
+def test_at_rest_nothing_is_measured(flown) -> None:
+    flight = flown(1, frames=24, tracked_px=PX)
+    (features, step), monitor = flight.frames[5], ShutterMonitor(0.0)
+    nav = dataclasses.replace(flight.vehicle.true_state(features.stamp_ns), v_map=np.zeros(3))
+    still = dataclasses.replace(step, rate_end=nav.gyro_bias)
+    assert [monitor.add(features, nav, still, flight.vehicle.rig) for _ in range(30)] == [""] * 30
+    assert monitor._found.count == 0
+
+
+def test_the_smoothed_flight_uses_the_same_points(flown) -> None:
+    flight = flown(1, frames=70, tracked_px=PX, readout_s=0.02)
+    config = flight.tracking_stage(PX, readout_s=0.02)._config
+    source = SimulatedSource(flight.vehicle, features=tuple(features for features, _ in flight.frames))
+    track = track_vehicle(source, config, smoothing=True)
+    assert not any("smoothed" in text for text in track.warnings)
+    ignored = dataclasses.replace(config, rig=dataclasses.replace(config.rig, readout_s=0.0))
+    causal, smoothed = (
+        [np.linalg.norm(pose.T_map_body.t - flight.vehicle.true_state(pose.stamp_ns).T_map_body.t) for pose in poses]
+        for poses in (track.poses, track.smoothed)
+    )
+    assert np.mean(smoothed) < 1.1 * np.mean(causal)
+    lost = track_vehicle(source, ignored, smoothing=True)
+    assert lost.warnings

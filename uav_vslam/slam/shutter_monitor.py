@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measures the readout of a rolling shutter by tracked points, and warns if it is not the one that is configured.
+
+From one frame to the next a point moves as the camera does, and by what its rows were late: q readout, with q the
+velocity of its image times how far below the middle it is, there minus here. Least squares over the points of a pair of
+frames finds that beside a correction of the camera's motion. What gives it away is that the image moves faster in the
+one frame than in the other: nothing else stretches it by so much, along the motion and in step with the gyroscope.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.turning import Turning
+from uav_vslam.geometry.rotation import skew
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.slam.rolling_shutter import below_middle, velocities_left
+from uav_vslam.types import ImuIncrement, NavState, StereoFeatures
+
+Array = NDArray[np.float64]
+
+FEWEST_POINTS, MOST_POINTS = 20, 100  # of a pair of frames
+FEWEST_PAIRS = 10
+KNOWN_S = 2e-4  # standard deviation of a readout that is judged
+WARNED_S = 5e-4  # least error that is warned of: it moves the points of the outer rows by a tenth of a pixel
+WARNED_SIGMAS = 6.0
+ROUNDS = 3  # of least squares, each without the outliers of the one before
+OUTLIER = 3.0  # times the median residual
+LEAST_PX = 0.01  # noise of tracked points
+LEAST_INFORMATION = 1e2  # of a pair of frames that counts: 0.1 s [1/s^2]
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A frame: its points, the state of the vehicle and how it turns."""
+
+    features: StereoFeatures
+    nav: NavState
+    turning: Turning
+
+
+@dataclass(slots=True)
+class _Mean:
+    """The mean of values, each with its information."""
+
+    count: int = 0
+    information: float = 0.0
+    weighted: float = 0.0
+    squared: float = 0.0
+
+    def add(self, value: float, information: float) -> None:
+        self.count += 1
+        self.information += information
+        self.weighted += information * value
+        self.squared += information * value**2
+
+    @property
+    def mean(self) -> float:
+        return self.weighted / self.information
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the mean, not below that by the values' scatter; of two values or more."""
+        scatter = (self.squared - self.information * self.mean**2) / (self.count - 1)
+        return float((max(1.0, scatter) / self.information) ** 0.5)
+
+
+class ShutterMonitor:
+    """Watches pairs of frames until the readout is known, and judges it once."""
+
+    def __init__(self, readout_s: float) -> None:
+        self._configured_s = readout_s
+        self._before: _Seen | None = None
+        self._found = _Mean()
+        self._watching = True
+
+    def interrupt(self) -> None:
+        """Forget the frame before: the motion since is not known well."""
+        self._before = None
+
+    def add(self, features: StereoFeatures, nav: NavState, increment: ImuIncrement, rig: StereoRig) -> str:
+        """Add a frame and return a warning, normally empty, and empty after the first.
+
+        Args:
+            features: as the cameras showed them.
+            nav: estimate at the stamp.
+            increment: motion up to there.
+            rig: calibration.
+        """
+        if not self._watching:
+            return ""
+        before, self._before = self._before, _Seen(features, nav, Turning.at_end(increment, nav))
+        if before is not None and (found := _readout(before, self._before, rig)) is not None:
+            self._found.add(*found)
+        if self._found.count < FEWEST_PAIRS or self._found.sigma > KNOWN_S:
+            return ""
+        readout_s, sigma_s = self._found.mean, self._found.sigma
+        self._watching, self._before = False, None
+        if abs(readout_s - self._configured_s) < max(WARNED_S, WARNED_SIGMAS * sigma_s):
+            return ""
+        return (
+            f"the rows of an image are exposed one after another: the last one {1e3 * readout_s:.2f} ms "
+            f"± {1e3 * sigma_s:.2f} ms after the first, which is not rig.readout_s, {1e3 * self._configured_s:g} ms: "
+            f"set that to {readout_s:.5f}; what else is warned of may come of it"
+        )
+
+
+def _readout(here: _Seen, there: _Seen, rig: StereoRig) -> tuple[float, float] | None:
+    """Return the readout [s] that two frames show, and its information [1/s^2].
+
+    None if too few tracks join them, or the vehicle hardly moves.
+    """
+    tracks, rows_here, rows_there = np.intersect1d(here.features.tracks, there.features.tracks, return_indices=True)
+    rows = np.flatnonzero(tracks > 0)[:: max(1, len(tracks) // MOST_POINTS)]
+    pixels = here.features.pixels[rows_here[rows]].astype(float)
+    points = rig.triangulate(pixels)
+    good = np.isfinite(points[:, 2])
+    if good.sum() < FEWEST_POINTS:
+        return None
+    seen = there.features.pixels[rows_there[rows[good]], :2].astype(float)
+    T_there_here = rig.T_body_left.inverse() @ there.nav.T_map_body.inverse() @ here.nav.T_map_body @ rig.T_body_left
+    points_there = T_there_here.apply(points[good])
+    late = _lateness(there, points_there, seen, rig) - _lateness(here, points[good], pixels[good, :2], rig)
+    J = rig.left.project_jacobian(points_there)
+    A = np.concatenate([J, -J @ skew(points_there), late[..., None]], axis=2)  # translation, rotation, readout
+    return _least_squares(A, seen - rig.left.project(points_there))
+
+
+def _lateness(at: _Seen, points_left: Array, pixels: Array, rig: StereoRig) -> Array:
+    """Return (N, 2) how far points move in the left image by their rows' share of the readout [px/s]."""
+    moving = velocities_left(points_left, at.nav, at.turning.rate_map, rig)
+    flow = np.einsum("nki,ni->nk", rig.left.project_jacobian(points_left), moving)
+    return np.asarray(flow * below_middle(rig.left, pixels)[:, None])
+
+
+def _least_squares(A: Array, residual: Array) -> tuple[float, float] | None:
+    """Return the last unknown and its information, of (N, 2, 7) Jacobians and (N, 2) residuals with outliers."""
+    keep = np.ones(len(A), bool)
+    for _ in range(ROUNDS):
+        rows = A[keep].reshape(-1, A.shape[2])
+        x = np.linalg.lstsq(rows, residual[keep].ravel(), rcond=None)[0]
+        left = np.linalg.norm(residual - A @ x, axis=1)
+        variance = LEAST_PX**2 + float(np.sum(left[keep] ** 2)) / max(1, len(rows) - len(x))
+        keep = left < OUTLIER * np.median(left[keep])
+    others, own = rows[:, :-1], rows[:, -1]
+    alone = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
+    information = float(alone @ alone) / variance
+    return (float(x[-1]), information) if information > LEAST_INFORMATION else None
