@@ -90,6 +90,37 @@ def test_a_recording_that_begins_again_is_flown_again_to_the_same_bits(flown, po
         assert all(same(a, b) for a, b in zip(again, flights[0], strict=True))
 
 
+@pytest.mark.parametrize("offset_s", [-3600.0, 3600.0])
+def test_a_clock_set_before_the_first_features_begins_a_session_that_flies(flown, offset_s: float) -> None:
+    flight = flown(1)
+    clocked = make(flight)
+    early = [increment for _, increment in flight.frames[1:8] if increment is not None]
+    for increment in [*(moved(one, -offset_s) for one in early), *early]:
+        clocked.add_increment(increment)
+    assert clocked.stage.session == SESSION + 1
+    clocked.start(dataclasses.replace(flight.vehicle.initial))
+    outputs = feed(clocked, flight.frames[8:])
+    assert len(outputs) == len(flight.frames[1:])
+    assert worst_nees(flight, outputs, 0.0) <= 3.0
+    assert clocked.dropped == {**dict.fromkeys(clocked.dropped, 0), "frame_lost": len(early)}
+
+
+@pytest.mark.parametrize("policy", ["bridge", "reset"])
+def test_motion_that_was_missing_for_long_begins_a_session_though_features_went_on(flown, policy: str) -> None:
+    flight, silence_s = flown(1), 40.0
+    clocked = make(flight, policy)
+    feed(clocked, flight.frames[:8])
+    for missing_s in range(int(silence_s)):
+        clocked.add_features(moved(flight.frames[8][0], float(missing_s)))
+    outputs = feed(clocked, flight.frames[9:], silence_s)
+    assert clocked.stage.session == SESSION + 1
+    if policy == "reset":
+        assert (outputs, clocked.stage.initial) == ([], None)
+        return
+    assert outputs[-1].report.pose.stamp_ns == moved(flight.frames[-1][0], silence_s).stamp_ns
+    assert worst_nees(flight, outputs, silence_s) <= 3.0
+
+
 def test_reset_waits_for_a_start_state(flown) -> None:
     flight = flown(1)
     clocked = make(flight, "reset")

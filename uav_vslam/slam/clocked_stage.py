@@ -81,7 +81,8 @@ class ClockedStage:
         """Begin another session at the first frame after a jump, from the last estimate or a newer start state."""
         if not jump.is_back and jump.size_s <= MOST_BRIDGED_S:  # one stream was silent
             return ""
-        first_ns = min(item.stamp_ns for name, item in admitted.items if name == FEATURES)
+        frames_ns = (item.stamp_ns for name, item in admitted.items if name == FEATURES)
+        first_ns = min(frames_ns, default=jump.to_ns)  # none if features have not begun, or went on without motion
         before, initial = self.stage.nav, self._start_near(first_ns)
         if initial is None and before is not None and self._policy == "bridge":
             initial = carried_over(before, first_ns, self._config.imu)
