@@ -25,7 +25,7 @@ from uav_vslam.simulation.landmarks import observe, scatter_landmarks  # noqa: E
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet  # noqa: E402
 from uav_vslam.simulation.source import SimulatedSource  # noqa: E402
 from uav_vslam.slam.in_flight_initializer import Frame  # noqa: E402
-from uav_vslam.slam.saved_map import load_map, save_map  # noqa: E402
+from uav_vslam.slam.saved_map import MappedPlace, load_map, save_map  # noqa: E402
 from uav_vslam.slam.stage import SlamStage  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -165,11 +165,23 @@ def test_what_goes_wrong_is_the_response_and_the_node_goes_on(node: Node, tmp_pa
         ("load_map", None, "map_file is empty"),
         ("load_map", tmp_path / "nothing.npz", "can't be read"),
         ("save_map", tmp_path / "empty.npz", "no landmark is mapped so far"),
+        ("save_map", Path("~nobody_here/map.npz"), "no such user"),
+        ("load_map", Path("~nobody_here/map.npz"), "no such user"),
     ):
         response = node.call(service, file)
         assert not response.success
         assert reason in response.message
     assert not (tmp_path / "empty.npz").exists()
+
+
+def test_a_failure_that_nobody_foresaw_does_not_end_a_node_in_flight(node: Node, tmp_path: Path) -> None:
+    archive, one = node.backend._stage._archive, np.ones(1, np.uint32)
+    assert archive is not None
+    lost = np.zeros(0, np.float32)  # the covariance of a landmark: bounding it raises ValueError
+    archive._parts = [MappedPlace(one, np.zeros((1, 3)), lost, np.zeros((1, 128), np.uint8), one)]
+    response = node.call("save_map", tmp_path / "uav2_map.npz")
+    assert not response.success
+    assert response.message
 
 
 def test_an_empty_map_neither_replaces_another_nor_is_one_to_start_in(

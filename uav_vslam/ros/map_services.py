@@ -4,8 +4,8 @@
 ~/save_map    std_srvs/Trigger: all landmarks mapped until the last epoch, into the file of the parameter map_file
 ~/load_map    std_srvs/Trigger: the map of that file, for a vehicle that waits to start in one (start.method map)
 
-Neither takes a map without landmarks. What goes wrong is in the response, and the node goes on. So it does while a map
-is saved: the covariances of half an hour's map take a minute or two to bound.
+Neither takes a map without landmarks. Whatever goes wrong is in the response, and the node goes on. So it does while a
+map is saved: the covariances of half an hour's map take a minute or two to bound.
 """
 
 import threading
@@ -13,12 +13,11 @@ from collections.abc import Awaitable, Callable, Generator
 from concurrent.futures import Future
 from pathlib import Path
 
-import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from uav_vslam.errors import MapError, UavVslamError
+from uav_vslam.errors import MapError
 from uav_vslam.slam.saved_map import Mapped, load_map, save_map
 from uav_vslam.slam.stage import SlamStage
 
@@ -66,7 +65,10 @@ def _map_file(node: Node) -> str:
     name: str = node.get_parameter("map_file").value
     if not name:
         raise MapError("the parameter map_file is empty; set it to the name of a file")
-    return str(Path(name).expanduser().absolute())
+    try:
+        return str(Path(name).expanduser().absolute())
+    except RuntimeError:
+        raise MapError(f"map_file {name}: there is no such user; name the folder in full") from None
 
 
 def _answering(
@@ -75,8 +77,8 @@ def _answering(
     async def call(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.message, response.success = await action(), True
-        except (UavVslamError, np.linalg.LinAlgError) as error:
-            response.message, response.success = str(error), False
+        except Exception as error:  # of whatever kind: in flight, a map is not worth the node
+            response.message, response.success = str(error) or type(error).__name__, False
         return response
 
     return call

@@ -2,6 +2,7 @@
 """A saved map is read back to the bit, and nothing else is taken for one."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -82,6 +83,25 @@ def test_a_file_that_is_no_sound_map_is_refused_with_the_reason(path: Path, dama
 def test_a_folder_that_is_not_there_is_named(saved: SavedMap, tmp_path: Path) -> None:
     with pytest.raises(MapError, match="can't be written"):
         save_map(saved, tmp_path / "nowhere" / "map.npz")
+
+
+@pytest.mark.parametrize("name", ["/", "x" * 300, "a\0b"])
+def test_a_name_that_no_map_can_have_is_refused(saved: SavedMap, tmp_path: Path, name: str) -> None:
+    with pytest.raises(MapError, match="can't be written"):
+        save_map(saved, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_may_not_be_looked_into_is_refused(saved: SavedMap, tmp_path: Path) -> None:
+    user, closed = os.geteuid(), tmp_path / "closed"
+    closed.mkdir(mode=0)
+    if user == 0:  # who may look everywhere
+        os.seteuid(65534)
+    try:
+        with pytest.raises(MapError, match="Permission denied"):
+            save_map(saved, closed / "map.npz")
+    finally:
+        os.seteuid(user)
 
 
 def test_a_file_that_is_no_map_is_not_replaced(saved: SavedMap, tmp_path: Path) -> None:

@@ -40,19 +40,29 @@ def save_map(saved: SavedMap, file: Path | str) -> int:
     Raises:
         MapError: the file can't be written, or is there and no map.
     """
-    path = Path(file)
-    is_map = path.is_file() and (path.stat().st_size == 0 or _holds_header(path))
-    if path.exists() and not (is_map or path.is_dir()):  # a folder can't be replaced
-        raise MapError(f"{path} is no map, and is not replaced; name another file")
-    content = io.BytesIO()
-    np.savez_compressed(content, header=np.array(_header(saved)), **_columns(saved))
+    path, content = Path(file), io.BytesIO()
     try:
+        _check_replaceable(path)
+        np.savez_compressed(content, header=np.array(_header(saved)), **_columns(saved))
         replace_file(path, content.getvalue(), durable=False)
-    except OSError as error:
+    except (OSError, ValueError) as error:  # the latter of a name that no file can have
+        reason = getattr(error, "strerror", None) or error
         raise MapError(
-            f"{path}: the map can't be written ({error.strerror}); name a file in a folder that is writable"
+            f"{path}: the map can't be written ({reason}); name a file in a folder that is writable"
         ) from None
     return content.getbuffer().nbytes
+
+
+def _check_replaceable(path: Path) -> None:
+    """Refuse to replace what is no map; a folder can't be replaced.
+
+    Raises:
+        MapError: the file is there and no map.
+        OSError, ValueError: there can't be such a file, or nobody may look.
+    """
+    is_map = path.is_file() and (path.stat().st_size == 0 or _holds_header(path))
+    if path.exists() and not (is_map or path.is_dir()):
+        raise MapError(f"{path} is no map, and is not replaced; name another file")
 
 
 def _holds_header(path: Path) -> bool:
