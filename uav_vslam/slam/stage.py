@@ -98,8 +98,23 @@ class SlamStage:
         initial: start state; None until given or found.
     """
 
-    def __init__(self, config: VehicleConfig, *, vehicle: str, session: int = 1, keep_map: bool = False) -> None:
-        """Wait for start state and rig; with `keep_map` all landmarks are collected for `mapped`.
+    def __init__(
+        self,
+        config: VehicleConfig,
+        *,
+        vehicle: str,
+        session: int = 1,
+        keep_map: bool = False,
+        loaded: SavedMap | None = None,
+    ) -> None:
+        """Wait for start state and rig.
+
+        Args:
+            config: of the vehicle.
+            vehicle: its name.
+            session: number of this start of it.
+            keep_map: all landmarks are collected for `mapped`.
+            loaded: a map that has been read already; None: that of `start.map`, if it is set.
 
         Raises:
             MapError: the map of `start.map` can't be read, or is empty and to be started in.
@@ -121,7 +136,9 @@ class SlamStage:
         self._was_motion_unknown = False
         self._motion_lost = self._start_unreachable = 0
         self._archive = self._new_archive() if keep_map else None
-        self._map = self._checked(load_map(config.start.map)) if config.start.map else None
+        self._map = loaded
+        if loaded is None and config.start.map:
+            self._map = self._checked(load_map(config.start.map))
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 
@@ -194,14 +211,20 @@ class SlamStage:
         return self._backend.nav if self._backend is not None else None
 
     def restarted(self, session: int, initial: NavEstimate | None = None) -> "SlamStage":
-        """Return a stage that starts again, with the same settings, rig and map to start in.
+        """Return a stage that starts again, with the same settings, rig and map to start in; it reads no file.
 
         Args:
             session: its number, above this one's.
             initial: start state; None to wait for one, or to find one.
         """
-        stage = SlamStage(self._config, vehicle=self._vehicle, session=session, keep_map=self._archive is not None)
-        stage.rig, stage._map, stage._is_announced = self.rig, self._map, False
+        stage = SlamStage(
+            self._config,
+            vehicle=self._vehicle,
+            session=session,
+            keep_map=self._archive is not None,
+            loaded=self._map,
+        )
+        stage.rig, stage._is_announced = self.rig, False
         if initial is not None:
             stage.start(initial)
         return stage

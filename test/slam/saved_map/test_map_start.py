@@ -19,6 +19,7 @@ from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import observe
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.in_flight_initializer import Frame
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.saved_map import load_map, save_map
@@ -170,6 +171,18 @@ def test_a_map_is_loaded_before_the_flight_only(mapped, over, tmp_path: Path) ->
         stage.load_map(load_map(path))
     with pytest.raises(MapError, match=r"start\.method is given"):
         SlamStage(flight.config, vehicle="uav2").load_map(load_map(path))
+
+
+@pytest.mark.parametrize("method", ["map", "given"])
+def test_a_new_session_in_flight_needs_the_map_s_file_no_more(mapped, tmp_path: Path, method: str) -> None:
+    """Its disk may be gone, and whoever resets a vehicle has no other."""
+    flight, path = mapped(1), tmp_path / "map.npz"
+    save_map(flight.saved, path)
+    config = dataclasses.replace(flight.config, start=StartConfig(method=method, map=str(path)))
+    clocked = ClockedStage(SlamStage(config, vehicle="uav2"), config, lambda: 2)
+    path.unlink()
+    clocked.reset()
+    assert (clocked.stage.session, clocked.stage.missing_start) == (2, "none was received")
 
 
 def test_a_map_s_own_hash_is_the_prior() -> None:
