@@ -10,6 +10,7 @@ from position_nees import position_nees
 
 from uav_vslam.config import InputConfig, VehicleConfig
 from uav_vslam.slam.clocked_stage import ClockedStage
+from uav_vslam.slam.frame_queue import MAX_WAITING
 from uav_vslam.slam.in_flight_initializer import Frame
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
@@ -119,6 +120,17 @@ def test_motion_that_was_missing_for_long_begins_a_session_though_features_went_
         return
     assert outputs[-1].report.pose.stamp_ns == moved(flight.frames[-1][0], silence_s).stamp_ns
     assert worst_nees(flight, outputs, silence_s) <= 3.0
+
+
+def test_features_of_a_clock_that_was_set_alone_do_not_fill_the_memory(flown) -> None:
+    """No more are held than the queue takes once a jump is followed; the others are counted as they come."""
+    flight, later = flown(1), 50
+    clocked = make(flight)
+    feed(clocked, flight.frames[:8])
+    for number in range(MAX_WAITING + later):
+        clocked.add_features(moved(flight.frames[8][0], -3600.0 + 0.05 * number))
+    assert clocked.dropped["stamp_jump"] == later
+    assert clocked.line.faults
 
 
 def test_reset_waits_for_a_start_state(flown) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from uav_vslam.config import VehicleConfig
 from uav_vslam.ins.sensor_clock import EARLY_STARTS, MOST_BRIDGED_S, carried_over
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
+from uav_vslam.slam.frame_queue import MAX_WAITING
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.stamps import IMU_TIME_JUMP_S, Admitted, TimeJump, TimeLine
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
@@ -35,7 +36,8 @@ class ClockedStage:
         self._config, self._next_session = config, next_session
         self._policy = config.input.on_time_jump
         streams = {FEATURES: MOST_BRIDGED_S, MOTION: MOST_BRIDGED_S}
-        self.line: TimeLine[Item] = TimeLine(streams, follow=self._policy != "refuse")
+        most = {FEATURES: MAX_WAITING}  # of those that wait for a jump to be confirmed, the stage takes no more
+        self.line: TimeLine[Item] = TimeLine(streams, follow=self._policy != "refuse", most=most)
         self._starts: deque[NavEstimate] = deque(maxlen=EARLY_STARTS)
         self._dropped: Counter[str] = Counter()  # by the stages before this one
         self._reached_ns: int | None = None
