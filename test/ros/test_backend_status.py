@@ -66,6 +66,18 @@ def test_frames_that_coast_with_features_are_an_alarm(node, report) -> None:
     assert (node.counts["frames"], node.counts["frames_coasted"]) == (MANY_COASTED + 1, MANY_COASTED)
 
 
+def test_a_session_begins_without_the_alarms_of_the_one_before(node) -> None:
+    status = BackendStatus(node)
+    for k in range(MANY_COASTED):
+        status.report(frame(k, coasted=True, recovery="lost", warnings=("look",)))
+    assert node.alarms.keys() == {"coasted", "recovery", "warning"}
+    node.alarms["checkpoint"] = "the disk is full"
+    status.restart()
+    assert node.alarms.keys() == {"checkpoint"}  # no matter of a flight
+    status.report(frame(MANY_COASTED, coasted=True))
+    assert node.alarms.keys() == {"checkpoint"}
+
+
 def test_frames_that_coast_without_features_are_an_alarm(node, report) -> None:
     for k in range(MANY_BLIND):
         assert "coasted" not in node.alarms

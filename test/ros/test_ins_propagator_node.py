@@ -356,6 +356,19 @@ def test_corrections_that_come_late_are_told_until_they_are_in_time(make: Make) 
         assert not late or f"{lag_s:.1f} s behind the readings" in node.alarms["lag"]
 
 
+def test_a_reset_ends_the_alarms_of_the_flight_before(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 1.0)
+    rest(node, NOW_NS + 2 * NS_PER_S, 3.0)
+    deliver(node, "slam/correction", start_at(NOW_NS + NS_PER_S))
+    assert {"imu", "lag"} <= node.alarms.keys()
+    node.reset()
+    assert node.alarms == {}
+    rest(node, NOW_NS + 6 * NS_PER_S, 1.0)
+    assert "lag" not in node.alarms
+
+
 def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:
     node = make("odometry_rate_hz:=50.0")
     edges: list[TransformStamped] = []

@@ -12,11 +12,13 @@ from lone_node import deliver, lone_node  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from uav_vslam.config import ImuConfig  # noqa: E402
+from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.increments import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
-from uav_vslam.slam.stage import SlamStage  # noqa: E402
-from uav_vslam.types import NS_PER_S, StereoFeatures  # noqa: E402
+from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
+from uav_vslam.slam.stage import FrameOutput, SlamStage  # noqa: E402
+from uav_vslam.types import NS_PER_S, NavEstimate, NavState, StereoFeatures  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -43,6 +45,13 @@ def fly(node: SlamBackendNode, start_ns: int, frames: int) -> None:
         deliver(node, "stereo_features", features)
 
 
+def lost_frame(stamp_ns: int) -> FrameOutput:
+    """Return what a frame brings at which the filter was re-initialised."""
+    state = NavState(stamp_ns, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+    nav = NavEstimate(state, np.eye(15))
+    return FrameOutput(FrameReport(nav.pose, nav, 50, 0, False, None, 0, recovery="lost"), nav, None, None)
+
+
 def test_a_clock_that_is_set_back_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) -> None:
     fly(node, 1000 * NS_PER_S, 20)
     fly(node, 500 * NS_PER_S, 100)
@@ -56,6 +65,13 @@ def test_a_reset_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) 
     assert response.success, response.message
     assert node._stage.session == SESSION + 1
     assert node.alarms["start"].startswith("no estimate before a new initial_state")
+
+
+def test_a_reset_vehicle_that_waits_for_its_start_has_no_alarms_of_its_last_flight(node: SlamBackendNode) -> None:
+    node._status.report(lost_frame(1000 * NS_PER_S))
+    assert "re-initialised 1x" in node.alarms["recovery"]
+    node.reset()
+    assert node.alarms.keys() == {"session", "start"}
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
 from uav_vslam.slam.stage import FrameOutput
 
+OF_FRAMES = "coasted", "recovery", "warning"  # alarms
 MANY_COASTED, MANY_BLIND = 5, 30  # frames of the last `RECENT_S`; a camera may be covered for a moment
 
 
@@ -16,8 +17,14 @@ class BackendStatus:
     def __init__(self, node: VehicleNode) -> None:
         """Begin before the first frame."""
         self._node = node
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin again: alarms are of the frames of one session, and the next one may wait long for its first."""
         self._recoveries, self._recovery = RecentEvents(), ""
         self._coasted, self._blind, self._warned = RecentEvents(), RecentEvents(), RecentEvents()
+        for subject in OF_FRAMES:
+            self._node.alarms.pop(subject, None)
 
     def report(self, output: FrameOutput) -> None:
         """Count a frame, note what the map holds, and set or clear the alarms."""

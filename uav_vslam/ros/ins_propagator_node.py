@@ -116,6 +116,7 @@ class InsPropagatorNode(VehicleNode):
         if self.config.start.method == "given" and last is not None and self._is_recent(stamp_ns_of(last)):
             self._on_correction(last)
             self._resumed = True
+        self._status.restart()  # that correction says nothing about later ones
 
     def _is_recent(self, stamp_ns: int) -> bool:
         return abs(self._reading_ns - stamp_ns) <= MAX_APART_S * NS_PER_S

@@ -6,6 +6,7 @@ from uav_vslam.ros.health import RECENT_S, RecentEvents
 from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.types import NS_PER_S
 
+OF_INPUTS = "lag", "clocks", "images", "imu"  # alarms
 SILENT_NS = 2 * NS_PER_S  # of readings without a new stamp of an image
 MAX_LAG_S = 2.0  # of the back end's corrections
 MAX_APART_S = 2.0  # between the stamps of an image and of the newest reading when it arrives,
@@ -18,11 +19,17 @@ class InsStatus:
     def __init__(self, node: VehicleNode, sensors: ImuListener) -> None:
         """Begin before the first reading."""
         self._node, self._sensors = node, sensors
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin again, before the first reading of another flight."""
         self._gaps = RecentEvents()
         self._reading_ns = -1  # the newest when the newest image came
         self._first_ns: int | None = None  # stamp of the first reading
         self._image_came_ns: int | None = None  # by the clock that is ahead, should they differ
         self._apart = 0  # images in a row
+        for subject in OF_INPUTS:
+            self._node.alarms.pop(subject, None)
 
     def report_lag(self, lag_s: float) -> None:
         """Warn while the back end's corrections are late: everything after the INS is then as late."""

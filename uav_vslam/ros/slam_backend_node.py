@@ -114,6 +114,7 @@ class SlamBackendNode(VehicleNode):
     def _begin_session(self) -> None:
         """Forget what belongs to the session before."""
         self._path.clear()
+        self._status.restart()
         self._saved_ns = None
         self._finds_start = self.config.start.searches and self._stage.initial is None
         if self._stage.initial is None and not self._finds_start:
