@@ -170,6 +170,18 @@ def test_the_state_and_the_window_stay_bounded(flown) -> None:
     assert sizes[-5:] == [WINDOW] * 5
 
 
+def test_identifiers_of_tracks_that_have_ended_are_forgotten(flown) -> None:
+    """Some end just after the full window has used their views, and are in the table no more."""
+    flight = flown(1, frames=60, tracked_px=SIGMA_PX / 2)
+    backend, most = backend_of(flight), 0
+    for features, increment in flight.frames:
+        backend.process(features, increment)
+        backend.joint_information()  # gives identifiers to what is still tracked
+        assert backend._window._ids.keys() <= set(features.tracks.tolist())
+        most = max(most, len(backend._window._ids))
+    assert most > 5
+
+
 def test_motion_between_poses_that_leave_the_window_is_better_than_between_present_ones(flights) -> None:
     causal, smoothed, nees = [], [], []
     for flight, reports in flights:

@@ -48,7 +48,7 @@ class TrackWindow:
 
     def __init__(self, size: int, config: BackendConfig) -> None:
         self._size, self._config = size, config
-        self._ids: dict[int, int] = {}  # landmark identifiers of tracks
+        self._ids: dict[int, int] = {}  # landmark identifiers of tracks that go on
         self.views = TrackViews()
 
     def configure(self, config: BackendConfig) -> None:
@@ -113,8 +113,8 @@ class TrackWindow:
             ids=self.identified(new, landmark_map),
             observations=views.counts[new],
         )
-        for track in views.tracks[~views.seen[:, -1]].tolist():
-            self._ids.pop(track, None)
+        going_on = views.tracks[views.seen[:, -1]].tolist()
+        self._ids = {track: self._ids[track] for track in going_on if track in self._ids}
         views.use(used)
         views.remove(finished)
 
