@@ -129,6 +129,19 @@ def test_the_reason_names_what_is_missing(flown) -> None:
     assert search.dropped == len(flight.frames) - WINDOW + 1
 
 
+@pytest.mark.parametrize("seed", [2, 5])
+def test_equations_without_a_solution_do_not_end_the_search(flown, seed: int) -> None:
+    """All points at one place of the images: some diverge while the motion is fitted."""
+    flight = flown(seed)
+    search, place = InFlightInitializer(flight.vehicle.rig, config()), flight.frames[0][0].pixels[:1]
+    for features, increment in flight.frames:
+        frozen = dataclasses.replace(features, pixels=np.tile(place, (len(features), 1)))
+        assert search.add(frozen, increment) is None
+        assert search.waiting < WINDOW
+    assert search.dropped == len(flight.frames) - WINDOW + 1
+    assert feed(search, flight.frames) is not None
+
+
 def test_a_wrong_calibration_has_another_reason_than_too_few_features(flown) -> None:
     flight = flown(1)
     rig = flight.vehicle.rig

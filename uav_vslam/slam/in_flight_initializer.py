@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from uav_vslam.config import ImuConfig, VehicleConfig
-from uav_vslam.errors import UavVslamError
+from uav_vslam.errors import FilterDivergence, UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import levelled, unlike_gravity
 from uav_vslam.ins.increments import compose
@@ -125,7 +125,9 @@ class InFlightInitializer:
                 return self._start()
             except InsufficientEvidence as error:
                 self.reason = str(error)
-                self._slide()
+            except (FilterDivergence, np.linalg.LinAlgError) as error:
+                self.reason = f"the frames show no motion that can be computed: {error}"
+            self._slide()
         return None
 
     def _joins(self, increment: ImuIncrement) -> bool:
