@@ -318,6 +318,21 @@ def script(write: Writer) -> list[Event]:
     ]
 
 
+@pytest.mark.parametrize("mode", sorted(RADIO))
+def test_what_a_peer_sends_and_relays_while_the_node_is_busy_arrives(
+    over_dds: OverDds, make_joint: Callable[..., JointInformation], mode: str
+) -> None:
+    """Epochs are at the same stamps in all vehicles: a relay's packets come together, while the others fuse."""
+    write = Writer(make_joint)
+    over_dds.happen(("tune", None, mode))
+    for peer in PEERS:
+        relayed = packet_to_msg(write.packet(peer, 2, mode=mode))
+        over_dds._publishers["packet", "uav2"].publish(relayed)
+    time.sleep(QUIET_S)
+    over_dds.wait(lambda: over_dds._received == len(PEERS))
+    assert over_dds.fusion.inbox.peers.keys() == set(PEERS)
+
+
 def test_one_script_gives_the_same_packets_drops_and_counts(
     over_dds: OverDds, make_joint: Callable[..., JointInformation]
 ) -> None:

@@ -4,6 +4,7 @@
 They are on a domain of its own (`radio_participant`) or on the vehicle's.
 """
 
+import copy
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +27,7 @@ from uav_vslam_msgs.msg import LandmarkInformation
 if TYPE_CHECKING:  # the link emulator fuses nothing
     from uav_vslam.cooperation.exchange import Receiver
 
+MOST_WAITING = 10  # packets on one topic: a relay sends those of several vehicles while this one may be fusing
 OnPacket = Callable[[LandmarkPacket, int], None]  # (packet, serialised size)
 
 
@@ -167,6 +169,8 @@ class Radio:
 
     def _listen(self, peer: str, name: str, callback: OnPacket, wanted: QoSProfile) -> PeerInput:
         topic = self._node.resolve_topic_name(name)  # remapped if a link is emulated
+        wanted = copy.copy(wanted)
+        wanted.depth = MOST_WAITING
 
         def on_bytes(data: bytes) -> None:
             callback(packet_from_msg(decoded(data)), len(data))
