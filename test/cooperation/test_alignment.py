@@ -215,6 +215,21 @@ def test_sigma_of_yaw_falls_with_the_spread_of_the_landmarks(two_maps) -> None:
     assert sigma_yaw(pairs.relative(), two_near) > MAX_SIGMA_YAW
 
 
+@pytest.mark.parametrize("away_m", [3e4, 5e6])
+def test_points_close_together_do_not_determine_yaw_however_far_from_the_origin_they_are(away_m: float) -> None:
+    """At 30 km the flat prior of the translation, 1 km, would alone make yaw known to 2 degrees."""
+    rng, count = np.random.default_rng(1), 12
+    points = rng.normal(size=(count, 3)) * np.array([0.5, 0.5, 0.1])
+    sigmas = []
+    for origin in (np.zeros(3), np.array([away_m, -away_m, 0.0])):
+        at, P = points + origin, 0.01 * np.eye(3 * count)
+        pairs = PointPairs(at, at, P, P, 0.3)
+        found = Alignment(Pose.identity(), np.eye(4), np.arange(count))
+        sigmas.append(sigma_yaw(pairs.relative(), found))
+    assert sigmas[0] > 2.0 * MAX_SIGMA_YAW
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=1e-6)
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_pairs_that_contradict_the_others_go_as_if_all_were_weighed_afresh_each_time(two_maps, seed: int) -> None:
     """The Schur complements against the dense information of the pairs that are left, the frame marginalised out."""

@@ -98,7 +98,8 @@ def sigma_yaw(relative: PointPairs, found: Alignment) -> float:
     """Return the sigma of yaw from the inliers' geometry, each pair independent: small if spread out [rad]."""
     inliers = relative.take(found.inliers)
     S = inliers.pair_covariances(found.T_own_peer.R)
-    A = frame_jacobian(found.T_own_peer, inliers.peer).reshape(-1, 3, FRAME_DIM)
+    about = inliers.peer.mean(axis=0)  # far from the origin the prior of the translation would be one of yaw
+    A = frame_jacobian(found.T_own_peer, inliers.peer - about).reshape(-1, 3, FRAME_DIM)
     Y = np.einsum("kai,kaj->ij", A, np.linalg.solve(S, A))
     return float(np.sqrt(inverse_spd(Y + np.diag(FLAT_SIGMA**-2), "a fit of two maps")[YAW, YAW]))
 
