@@ -107,6 +107,24 @@ def test_a_clock_set_before_the_first_features_begins_a_session_that_flies(flown
 
 
 @pytest.mark.parametrize("policy", ["bridge", "reset"])
+@pytest.mark.parametrize("offset_s", [-3600.0, 3600.0])
+def test_a_start_that_no_frame_has_used_is_that_of_the_clock_it_is_of(flown, offset_s: float, policy: str) -> None:
+    """It may come before the motion has shown that the clock was set."""
+    flight = flown(1)
+    clocked = make(flight, policy, start=False)
+    early = [increment for _, increment in flight.frames[1:8] if increment is not None]
+    for increment in early:
+        clocked.add_increment(moved(increment, -offset_s))
+    clocked.start(dataclasses.replace(flight.vehicle.initial))
+    for increment in early:
+        clocked.add_increment(increment)
+    assert clocked.stage.session == SESSION + 1
+    outputs = feed(clocked, flight.frames[8:])
+    assert len(outputs) == len(flight.frames[1:])
+    assert worst_nees(flight, outputs, 0.0) <= 3.0
+
+
+@pytest.mark.parametrize("policy", ["bridge", "reset"])
 def test_motion_that_was_missing_for_long_begins_a_session_though_features_went_on(flown, policy: str) -> None:
     flight, silence_s = flown(1), 40.0
     clocked = make(flight, policy)

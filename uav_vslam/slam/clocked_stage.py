@@ -102,10 +102,13 @@ class ClockedStage:
         return f"the clock of the sensors jumped by {ahead_s:+.1f} s; {self._outcome(self.stage.initial)}"
 
     def _start_near(self, stamp_ns: int) -> NavEstimate | None:
-        """Return the newest start state received that is of the time line which has begun at a stamp."""
-        near_ns = MAX_UNCOVERED_S * NS_PER_S
+        """Return the newest start state received that is of the time line which has begun at a stamp.
+
+        That of the present flight is none, once a frame has used it.
+        """
+        near_ns, used = MAX_UNCOVERED_S * NS_PER_S, self.stage.initial if self.stage.nav is not None else None
         for start in reversed(self._starts):
-            if start is not self.stage.initial and abs(start.state.stamp_ns - stamp_ns) <= near_ns:
+            if start is not used and abs(start.state.stamp_ns - stamp_ns) <= near_ns:
                 return start
         return None
 
