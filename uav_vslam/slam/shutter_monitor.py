@@ -33,11 +33,11 @@ LEAST_INFORMATION = 1e2  # of a pair of frames that counts: 0.1 s [1/s^2]
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """A frame: its points, the state of the vehicle and how it turns."""
+    """A frame: its points, the state of the vehicle and its angular rate (3,) in the map frame [rad/s]."""
 
     features: StereoFeatures
     nav: NavState
-    turning: Turning
+    rate_map: Array
 
 
 @dataclass(slots=True)
@@ -71,28 +71,35 @@ class ShutterMonitor:
 
     def __init__(self, readout_s: float) -> None:
         self._configured_s = readout_s
-        self._before: _Seen | None = None
+        self._before: StereoFeatures | None = None
         self._found = _Mean()
         self._watching = True
 
-    def interrupt(self) -> None:
-        """Forget the frame before: the motion since is not known well."""
-        self._before = None
+    def begin(self, features: StereoFeatures) -> None:
+        """Begin with a frame: the motion up to there is not known well."""
+        self._before = features if self._watching else None
 
-    def add(self, features: StereoFeatures, nav: NavState, increment: ImuIncrement, rig: StereoRig) -> str:
+    def add(
+        self, features: StereoFeatures, before: NavState, now: NavState, increment: ImuIncrement, rig: StereoRig
+    ) -> str:
         """Add a frame and return a warning, normally empty, and empty after the first.
 
         Args:
             features: as the cameras showed them.
-            nav: estimate at the stamp.
-            increment: motion up to there.
+            before: estimate at the frame before.
+            now: the same with the motion up to this frame: no image has changed it, and no recovery.
+            increment: that motion.
             rig: calibration.
         """
         if not self._watching:
             return ""
-        before, self._before = self._before, _Seen(features, nav, Turning.at_end(increment, nav))
-        if before is not None and (found := _readout(before, self._before, rig)) is not None:
-            self._found.add(*found)
+        shown, self._before = self._before, features
+        if shown is not None and shown.stamp_ns == increment.start_ns:
+            here = _Seen(shown, before, Turning.at_start(increment, before).rate_map)
+            there = _Seen(features, now, Turning.at_end(increment, now).rate_map)
+            found = _readout(here, there, rig)
+            if found is not None:
+                self._found.add(*found)
         if self._found.count < FEWEST_PAIRS or self._found.sigma > KNOWN_S:
             return ""
         readout_s, sigma_s = self._found.mean, self._found.sigma
@@ -129,7 +136,7 @@ def _readout(here: _Seen, there: _Seen, rig: StereoRig) -> tuple[float, float] |
 
 def _lateness(at: _Seen, points_left: Array, pixels: Array, rig: StereoRig) -> Array:
     """Return (N, 2) how far points move in the left image by their rows' share of the readout [px/s]."""
-    moving = velocities_left(points_left, at.nav, at.turning.rate_map, rig)
+    moving = velocities_left(points_left, at.nav, at.rate_map, rig)
     flow = np.einsum("nki,ni->nk", rig.left.project_jacobian(points_left), moving)
     return np.asarray(flow * below_middle(rig.left, pixels)[:, None])
 

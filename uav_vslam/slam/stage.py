@@ -37,7 +37,6 @@ from uav_vslam.types import (
     ImuIncrement,
     JointInformation,
     NavEstimate,
-    NavState,
     StereoFeatures,
 )
 
@@ -341,7 +340,7 @@ class SlamStage:
             )
         backend = self._backend
         increment = self._motion(backend, features.stamp_ns, increment)
-        shown, features = features, self._exposed_at_once(rig, backend.nav.state, features, increment)
+        features, of_shutter = self._exposed_at_once(rig, backend, features, increment)
         self._clock = self._clock or ClockOffsetMonitor(backend)
         report = backend.process(features, increment)
         backend, report, of_clock = self._clock.check(backend, features, increment, report, self._config)
@@ -361,7 +360,6 @@ class SlamStage:
             self._bias_steps, self._clock = BiasStepMonitor(), ClockOffsetMonitor(backend)
         of_map = self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
-        of_shutter = self._shutter_warning(backend, shown, report, increment)
         warnings = (self._start_warning, *noisy, of_clock, of_shutter, of_start, of_map, self._warning(report))
         self._start_warning = ""
         return FrameOutput(report, dead_reckoned, joint, increment, tuple(text for text in warnings if text))
@@ -428,20 +426,16 @@ class SlamStage:
         return found if increment is None else [*found, self._noise_monitor.add(increment)]
 
     def _exposed_at_once(
-        self, rig: StereoRig, before: NavState, features: StereoFeatures, increment: ImuIncrement | None
-    ) -> StereoFeatures:
-        """Return what a global shutter would show, by the motion from the estimate before."""
-        nav = before if increment is None else propagate(before, increment, gravity=self._config.imu.gravity)
-        return exposed_at_once(features, nav, increment, rig=rig, readout_s=self._config.rig.readout_s)
-
-    def _shutter_warning(
-        self, backend: SlamBackend, shown: StereoFeatures, report: FrameReport, increment: ImuIncrement | None
-    ) -> str:
-        assert self.rig is not None
-        if increment is None or lacks_readings(increment) or backend.imu_fault or report.recovery:
-            self._shutter.interrupt()
-            return ""
-        return self._shutter.add(shown, report.nav.state, increment, self.rig)
+        self, rig: StereoRig, backend: SlamBackend, features: StereoFeatures, increment: ImuIncrement | None
+    ) -> tuple[StereoFeatures, str]:
+        """Return what a global shutter would show of a frame, and a warning if that needs another readout."""
+        before, readout_s = backend.nav.state, self._config.rig.readout_s
+        now = before if increment is None else propagate(before, increment, gravity=self._config.imu.gravity)
+        at_once = exposed_at_once(features, now, increment, rig=rig, readout_s=readout_s)
+        if increment is None or lacks_readings(increment) or backend.imu_fault:
+            self._shutter.begin(features)
+            return at_once, ""
+        return at_once, self._shutter.add(features, before, now, increment, rig)
 
     def _warning(self, report: FrameReport) -> str:
         if report.recovery:
