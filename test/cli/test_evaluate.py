@@ -14,6 +14,7 @@ from uav_vslam.datasets.cdr import encode, message
 from uav_vslam.datasets.message_builders import camera_info_message, truth_message
 from uav_vslam.datasets.messages import TruthSample
 from uav_vslam.datasets.outputs import read_outputs
+from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.errors import BagError
 from uav_vslam.evaluation.files.tables import read_columns
 from uav_vslam.geometry.camera import PinholeCamera
@@ -22,6 +23,7 @@ from uav_vslam.geometry.rotation import so3_exp
 
 START_NS = 1_283_212_800_000_000_007
 FRAMES = 60
+TRUTH = "/uav1/ground_truth/odometry"
 CAMERA = PinholeCamera(64, 48, 80.0, 80.0, 32.0, 24.0)
 
 
@@ -69,6 +71,33 @@ def write_flight(folder, fleet=("uav1", "uav2"), mode="wideband"):
                 data = encode(status(vehicle, k, then[0] if k == 10 else then[-1], peers))
                 stamp_ns = START_NS + 100_000_000 * k
                 out.write(f"/{vehicle}/fusion/status", "uav_vslam_msgs/msg/FusionStatus", data, stamp_ns)
+
+
+def pose_message(kind, odometry):
+    """Return the pose of an odometry as another message."""
+    if kind == "TransformStamped":
+        p = odometry.pose.pose.position
+        at = message("geometry_msgs/msg/Vector3", x=p.x, y=p.y, z=p.z)
+        moved = message("geometry_msgs/msg/Transform", translation=at, rotation=odometry.pose.pose.orientation)
+        return message(f"geometry_msgs/msg/{kind}", header=odometry.header, child_frame_id="base_link", transform=moved)
+    pose = odometry.pose.pose if kind == "PoseStamped" else odometry.pose
+    return message(f"geometry_msgs/msg/{kind}", header=odometry.header, pose=pose)
+
+
+def estimates_of_one(pair, folder):
+    """Return a bag with the estimates of one vehicle of the pair."""
+    with RawRecorder(folder / "alone") as bag:
+        for raw in iter_raw([pair / "estimates"], ["/uav1/odometry"]):
+            bag.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)
+    return folder / "alone"
+
+
+def quiet(folder):
+    return "--results", folder / "results", "--no-plots"
+
+
+def summary_of(folder):
+    return json.loads((folder / "results" / "latest" / "summary.json").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -196,6 +225,58 @@ def test_a_truncated_recording_is_evaluated_up_to_the_damage_and_reported(pair, 
     vehicle = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())["vehicles"]["uav2"]
     assert 0 < vehicle["frames_processed"] < FRAMES
     assert vehicle["s_slam"]["ate_m"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped", "TransformStamped"])
+def test_ground_truth_of_every_type_that_is_run_with_is_compared_with(kind, pair, tmp_path):
+    with RawRecorder(tmp_path / "truth") as bag:
+        for k in range(FRAMES):
+            stamp_ns, built = odometry(k, 0.0, 0.0)
+            bag.write(TRUTH, f"geometry_msgs/msg/{kind}", encode(pose_message(kind, built)), stamp_ns)
+    assert run(estimates_of_one(pair, tmp_path), tmp_path / "truth", *quiet(tmp_path)) == 0
+    assert summary_of(tmp_path)["vehicles"]["uav1"]["s_slam"]["ate_m"] == pytest.approx(1.0)
+
+
+def test_unusable_poses_of_the_ground_truth_are_left_out_with_a_warning(pair, tmp_path, capsys):
+    with RawRecorder(tmp_path / "truth") as bag:
+        for k in range(FRAMES):
+            stamp_ns, built = odometry(k, 0.0, 0.0)
+            if k == 20:
+                built.pose.pose.position.x = float("nan")
+            if k == 30:
+                built.pose.pose.orientation.w = built.pose.pose.orientation.z = 0.0
+            bag.write(TRUTH, "nav_msgs/msg/Odometry", encode(built), stamp_ns)
+    assert run(estimates_of_one(pair, tmp_path), tmp_path / "truth", *quiet(tmp_path)) == 0
+    assert "uav1: 2 poses of the ground truth are not finite" in capsys.readouterr().err
+    assert summary_of(tmp_path)["vehicles"]["uav1"]["s_slam"]["ate_m"] == pytest.approx(1.0)
+
+
+def test_ground_truth_that_can_not_be_compared_with_is_warned_of(pair, tmp_path, capsys):
+    estimates = estimates_of_one(pair, tmp_path)
+    with RawRecorder(tmp_path / "text") as text, RawRecorder(tmp_path / "late") as late:
+        data = encode(message("std_msgs/msg/String", data="here"))
+        text.write(TRUTH, "std_msgs/msg/String", data, START_NS)
+        for k in range(FRAMES):
+            stamp_ns, built = odometry(k, 0.0, 0.0)
+            built.header.stamp.sec += 1000
+            late.write(TRUTH, "nav_msgs/msg/Odometry", encode(built), stamp_ns)
+    assert run(estimates, tmp_path / "text", *quiet(tmp_path)) == 0
+    assert f"{TRUTH} holds std_msgs/msg/String and is not read" in capsys.readouterr().err
+    assert run(estimates, tmp_path / "late", *quiet(tmp_path)) == 0
+    assert "uav1: the ground truth is from +1000.00 to +1005.90 s after" in capsys.readouterr().err
+
+
+def test_odometry_of_another_type_is_no_estimate(tmp_path):
+    with RawRecorder(tmp_path / "bad") as bag:
+        bag.write("/uav1/odometry", "std_msgs/msg/String", encode(message("std_msgs/msg/String", data="x")), START_NS)
+    with pytest.raises(BagError, match=r"of nav_msgs/msg/Odometry but /uav1/odometry \(std_msgs/msg/String\)"):
+        read_outputs([tmp_path / "bad"])
+    with RawRecorder(tmp_path / "fused") as bag:
+        bag.write("/uav1/odometry", "nav_msgs/msg/Odometry", encode(odometry(0, 0.0, 0.5)[1]), START_NS)
+        data = encode(message("std_msgs/msg/String", data="x"))
+        bag.write("/uav1/fused/odometry", "std_msgs/msg/String", data, START_NS)
+    with pytest.raises(BagError, match=r"/uav1/fused/odometry holds std_msgs/msg/String, not nav_msgs/msg/Odometry"):
+        read_outputs([tmp_path / "fused"])
 
 
 def test_an_odometry_without_attitude_is_named(tmp_path):

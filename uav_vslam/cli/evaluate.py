@@ -120,6 +120,7 @@ def evaluate(
         draws: also draw plots and the page.
         wall_s: time that the run took [s]; 0 if it is not known.
     """
+    from uav_vslam.cli.messages import warn_each, warn_of_truth
     from uav_vslam.datasets.outputs import read_outputs
     from uav_vslam.datasets.recorded_result import flight_result
     from uav_vslam.evaluation.output import write_results
@@ -140,6 +141,8 @@ def evaluate(
     print(f"written to {folder}")
     if draws:
         print(f"page: {folder / PAGE_NAME}")
+    warn_each(f"{vehicle}: {text}" for vehicle, recorded in outputs.items() for text in recorded.warnings)
+    warn_of_truth(result, {name: vehicle.truth for name, vehicle in result.vehicles.items()})
     if damage is not None:
         print(f"uav-vslam: evaluated up to a break: {damage}", file=sys.stderr)
     return 0 if damage is None else 2

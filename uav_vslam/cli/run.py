@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES, add_results, positive
-from uav_vslam.cli.messages import warn, warn_each
+from uav_vslam.cli.messages import warn, warn_each, warn_of_truth
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     print(f"results: {folder}")
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")
-    _warn_of_doubts(result, truths)
+    warn_of_truth(result, truths)
     warn_each(never_together(tracks, configs))
     for vehicle, track in tracks.items():
         warn_each(f"{vehicle}: {text}" for text in track.warnings)
@@ -155,17 +155,6 @@ def _truth(flight: BagFlight) -> Trajectory | None:
         return None
     warn_each(f"{flight.vehicle}: {text}" for text in truth_warnings(truth))
     return trajectory_of(truth) if len(truth) else None
-
-
-def _warn_of_doubts(result: FlightResult, truths: dict[str, Trajectory | None]) -> None:
-    """Warn where the recorded truth seems to have another time or unit than the estimate, or no attitude."""
-    from uav_vslam.datasets.truth import no_attitude, other_time, other_unit
-
-    for vehicle, truth in truths.items():
-        if truth is not None:
-            estimate = result.vehicles[vehicle].s_slam
-            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit, no_attitude))
-            warn_each(f"{vehicle}: {text}" for text in doubts if text)
 
 
 def _save_maps(tracks: dict[str, VehicleTrack], folder: Path) -> None:

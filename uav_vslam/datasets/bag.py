@@ -18,6 +18,7 @@ from uav_vslam.datasets.messages import (
 )
 from uav_vslam.datasets.rosbag import TopicInfo, iter_readable, names_of, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
+from uav_vslam.datasets.truth import unread_text
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.types import NavEstimate
@@ -95,7 +96,7 @@ def _warnings(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
     topic = setup.config.topic(setup.vehicle, "truth")
     truth = _first(bags, topic)
     if truth is not None and truth.__msgtype__ not in TRUTH_TYPES:
-        yield f"{topic} holds {truth.__msgtype__} and is not read: record one of {', '.join(TRUTH_TYPES)}"
+        yield unread_text(topic, truth.__msgtype__)
     if conflict := setup.conflict(getattr(truth, "child_frame_id", "")):
         yield f"{topic} {conflict}"
 

@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 
 from uav_vslam.datasets.cdr import RawMessage, decode
-from uav_vslam.datasets.messages import stamp_ns_of, truth_of
-from uav_vslam.datasets.rosbag import iter_raw, topics_of
-from uav_vslam.errors import BagError
+from uav_vslam.datasets.messages import TRUTH_TYPES, stamp_ns_of, truth_of
+from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
+from uav_vslam.datasets.truth import left_out_text, unread_text
+from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.types import FrameQuality, LinkEpoch, PoseEstimate
 
+ODOMETRY, TRUTH = "odometry", "ground_truth/odometry"
+ESTIMATE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 POSES = {
-    "odometry": "own_only",
+    ODOMETRY: "own_only",
     "slam/smoothed": "smoothed",
     "fused/odometry": "fused",
     "ins/dead_reckoning": "dead_reckoning",
-    "ground_truth/odometry": "truth",
+    TRUTH: "truth",
 }
 STATUS = "fusion/status"
 QUALITY = "slam/quality"
@@ -61,6 +64,7 @@ class RecordedOutputs:
         epochs: traffic up to each fusion epoch, in recording order.
         frames: how each frame went, in recording order; empty if not recorded.
         frames_in: image pairs replayed, or None if the bags have none.
+        warnings: why the ground truth serves less than it seems to.
     """
 
     own_only: list[PoseEstimate] = field(default_factory=list)
@@ -72,6 +76,7 @@ class RecordedOutputs:
     epochs: list[LinkEpoch] = field(default_factory=list)
     frames: list[FrameQuality] = field(default_factory=list)
     frames_in: int | None = None
+    warnings: list[str] = field(default_factory=list)
 
 
 def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], BagError | None]:
@@ -89,24 +94,45 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
             several passes of one recording.
     """
     topics = topics_of(paths)
-    names = sorted({topic.split("/")[1] for topic in topics if topic.count("/") == 2 and topic.endswith("/odometry")})
+    names = _vehicles(topics)
     if not names:
-        held = ", ".join(sorted(topics)) or "nothing"
+        held = ", ".join(f"{topic} ({info.msgtype})" for topic, info in sorted(topics.items())) or "nothing"
         raise BagError(
-            f"{', '.join(map(str, paths))} hold no /<vehicle>/odometry but {held}; give the bag of the estimates"
+            f"{', '.join(map(str, paths))} hold no /<vehicle>/odometry of {ESTIMATE_TYPES[0]} but {held}; give the bag "
+            "of the estimates"
         )
     outputs = {name: RecordedOutputs() for name in names}
     for name in names:
         if f"/{name}/{FRAMES}" in topics:
             outputs[name].frames_in = topics[f"/{name}/{FRAMES}"].count
     wanted = [f"/{name}/{ending}" for name in names for ending in (*POSES, STATUS, QUALITY)]
-    messages = _Readable(iter_raw(paths, wanted))
+    messages, left_out = _Readable(iter_raw(paths, wanted)), Counter[str]()
     for raw in messages:
         _, name, ending = raw.topic.split("/", 2)
-        _store(outputs[name], ending, raw)
+        if ending != TRUTH:
+            _store(outputs[name], ending, raw)
+        elif raw.msgtype in TRUTH_TYPES and not _store_truth(outputs[name], raw):
+            left_out[name] += 1
+    for name, recorded in outputs.items():
+        recorded.warnings += _truth_warnings(topics, name, len(recorded.truth), left_out[name])
     for name, recorded in outputs.items():
         _check_passes(name, recorded)
     return outputs, messages.error
+
+
+def _vehicles(topics: dict[str, TopicInfo]) -> list[str]:
+    """Return the names of the vehicles that have an own-only track, sorted."""
+    found = {topic for topic, info in topics.items() if info.msgtype == ESTIMATE_TYPES[0]}
+    return sorted(t.split("/")[1] for t in found if t.count("/") == 2 and t.endswith(f"/{ODOMETRY}"))
+
+
+def _truth_warnings(topics: dict[str, TopicInfo], name: str, count: int, left_out: int) -> Iterator[str]:
+    """Yield why a vehicle's ground truth serves less than it seems to, by its poses read and left out."""
+    topic = f"/{name}/{TRUTH}"
+    if topic in topics and topics[topic].msgtype not in TRUTH_TYPES:
+        yield unread_text(topic, topics[topic].msgtype)
+    if left_out:
+        yield left_out_text(left_out, count)
 
 
 def _check_passes(name: str, recorded: RecordedOutputs) -> None:
@@ -142,17 +168,29 @@ def _store(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:
     if ending == QUALITY:
         outputs.frames.append(_frame_quality(built))
         return
+    if raw.msgtype not in ESTIMATE_TYPES:
+        raise BagError(f"{raw.topic} holds {raw.msgtype}, not {' or '.join(ESTIMATE_TYPES)}; give the recorder's bag")
     track: list[PoseEstimate] = getattr(outputs, POSES[ending])
-    track.append(_pose_estimate(built, raw.topic))
-
-
-def _pose_estimate(built: Any, topic: str) -> PoseEstimate:
-    covariance = np.array(built.pose.covariance, dtype=float).reshape(6, 6)
     try:
-        pose = truth_of(built).T_world_body
-    except ValueError as error:
-        raise BagError(f"{topic} at {stamp_ns_of(built)} ns holds no pose: {error}") from None
-    return PoseEstimate(stamp_ns_of(built), pose, covariance)
+        track.append(_pose_estimate(built))
+    except InvalidMessage as error:
+        raise BagError(f"{raw.topic} at {stamp_ns_of(built)} ns holds no pose: {error}") from None
+
+
+def _store_truth(outputs: RecordedOutputs, raw: RawMessage) -> bool:
+    """Add a true pose, unless it can't be used; return whether it can."""
+    try:
+        outputs.truth.append(_pose_estimate(decode(raw)))
+    except InvalidMessage:
+        return False
+    return True
+
+
+def _pose_estimate(built: Any) -> PoseEstimate:
+    """Return the pose of an estimate or of ground truth; its covariance is zero where the message has none."""
+    recorded = getattr(getattr(built, "pose", None), "covariance", np.zeros(36))
+    covariance = np.array(recorded, dtype=float).reshape(6, 6)
+    return PoseEstimate(stamp_ns_of(built), truth_of(built).T_world_body, covariance)
 
 
 def _frame_quality(built: Any) -> FrameQuality:

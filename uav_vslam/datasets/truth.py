@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.messages import TRUTH_TYPES
 from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.evaluation.attitude import lacks_attitude, largest_turn_rad
 from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth
@@ -26,14 +27,21 @@ def trajectory_of(truth: TruthTrack) -> Trajectory:
     return Trajectory(truth.stamps_ns, truth.positions_world, quaternion_wxyz_from_rotation(truth.R_world_body))
 
 
+def unread_text(topic: str, msgtype: str) -> str:
+    """Return that ground truth has a type that is not read."""
+    return f"{topic} holds {msgtype} and is not read: record one of {', '.join(TRUTH_TYPES)}"
+
+
+def left_out_text(left_out: int, remaining: int) -> str:
+    """Return that poses of ground truth are left out, by their number and that of the others."""
+    none = "" if remaining else "; none remains, so nothing is compared with it"
+    return f"{left_out} poses of the ground truth are not finite, or have no orientation, and are left out" + none
+
+
 def truth_warnings(truth: TruthTrack) -> Iterator[str]:
     """Yield why ground truth serves less than it seems to."""
     if truth.left_out:
-        none = "" if len(truth) else "; none remains, so nothing is compared with it"
-        yield (
-            f"{truth.left_out} poses of the ground truth are not finite, or have no orientation, and are left out"
-            + none
-        )
+        yield left_out_text(truth.left_out, len(truth))
     if (apart_s := spacing_s(truth)) > MAX_SPACING_S:
         yield (
             f"the poses of the ground truth are {apart_s:.2g} s apart; estimates in gaps of more than "
