@@ -7,8 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import encode
+from uav_vslam.datasets.message_builders import truth_message
+from uav_vslam.datasets.messages import TruthSample
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 
@@ -19,6 +25,23 @@ def test_a_run_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
     record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=4, scale=0.125, seed=3), bag)
     options = ["--no-plots", "--no-maps", "--no-smoothing", "--workers", "1", "--results", str(results)]
     command = [sys.executable, "-m", "uav_vslam.cli.main", "run", str(bag), *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    _, said = process.communicate()
+    assert b"Traceback" not in said
+    assert (results / "latest" / "summary.json").is_file(), said.decode()
+
+
+def test_an_evaluation_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
+    bag, results = tmp_path / "estimates", tmp_path / "results"
+    with RawRecorder(bag) as recorder:
+        for k in range(3):
+            sample = TruthSample(10**9 * (k + 1), Pose.identity(), np.zeros(3), np.zeros(3))
+            data = encode(truth_message(sample, frame_id="map", child_frame_id="base_link"))
+            recorder.write("/uav1/odometry", "nav_msgs/msg/Odometry", data, sample.stamp_ns)
+    options = ["evaluate", str(bag), "--no-plots", "--results", str(results)]
+    command = [sys.executable, "-m", "uav_vslam.cli.main", *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     process.stdout.close()

@@ -136,8 +136,10 @@ def evaluate(
     def plot(result: FlightResult, folder: Path) -> list[Path]:
         return [*write_plots(result, folder), write_page([folder])]
 
-    print_summary(build_summary(result, git=None, alignment=alignment))  # first: a full disk must not cost it
-    folder = write_results(result, results, plot=plot if draws else None, alignment=alignment)
+    try:
+        print_summary(build_summary(result, git=None, alignment=alignment))  # first: a full disk must not cost it
+    finally:  # nor a reader that has closed the pipe the results
+        folder = write_results(result, results, plot=plot if draws else None, alignment=alignment)
     print(f"written to {folder}")
     if draws:
         print(f"page: {folder / PAGE_NAME}")
