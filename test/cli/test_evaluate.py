@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_vslam.cli import evaluate
+from uav_vslam.cli import evaluate, progress
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import encode, message
 from uav_vslam.datasets.message_builders import camera_info_message, truth_message
@@ -277,6 +277,13 @@ def test_odometry_of_another_type_is_no_estimate(tmp_path):
         bag.write("/uav1/fused/odometry", "std_msgs/msg/String", data, START_NS)
     with pytest.raises(BagError, match=r"/uav1/fused/odometry holds std_msgs/msg/String, not nav_msgs/msg/Odometry"):
         read_outputs([tmp_path / "fused"])
+
+
+def test_reading_shows_its_progress(pair, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)
+    assert run(pair / "estimates", pair / "inputs", *quiet(tmp_path)) == 0
+    messages = 2 * (4 * FRAMES + 2)  # three tracks, the truth and the statuses of each vehicle
+    assert f"reading: {messages} of {messages} after" in capsys.readouterr().err
 
 
 def test_an_odometry_without_attitude_is_named(tmp_path):

@@ -121,7 +121,8 @@ def evaluate(
         wall_s: time that the run took [s]; 0 if it is not known.
     """
     from uav_vslam.cli.messages import warn_each, warn_of_truth
-    from uav_vslam.datasets.outputs import read_outputs
+    from uav_vslam.cli.progress import progress_bar
+    from uav_vslam.datasets.outputs import messages_to_read, read_outputs
     from uav_vslam.datasets.recorded_result import flight_result
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
@@ -130,7 +131,8 @@ def evaluate(
     from uav_vslam.report.plots import write_plots
     from uav_vslam.report.table import print_summary
 
-    outputs, damage = read_outputs(bags)
+    with progress_bar("reading", messages_to_read(bags)) as advance:
+        outputs, damage = read_outputs(bags, on_message=advance)
     result = flight_result(name, outputs, config=config, wall_s=wall_s)
 
     def plot(result: FlightResult, folder: Path) -> list[Path]:

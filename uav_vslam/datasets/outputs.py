@@ -2,7 +2,7 @@
 """Reads a fleet's recorded estimates, and the ground truth from the replayed bags."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -79,11 +79,25 @@ class RecordedOutputs:
     warnings: list[str] = field(default_factory=list)
 
 
-def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], BagError | None]:
+def messages_to_read(paths: Sequence[Path]) -> int:
+    """Return how many messages `read_outputs` reads.
+
+    Raises:
+        BagError: a path is missing or not a bag.
+    """
+    topics = topics_of(paths)
+    wanted = _wanted(_vehicles(topics))
+    return sum(info.count for topic, info in topics.items() if topic in wanted)
+
+
+def read_outputs(
+    paths: Sequence[Path], *, on_message: Callable[[], None] = lambda: None
+) -> tuple[dict[str, RecordedOutputs], BagError | None]:
     """Read every vehicle that has an own-only track.
 
     Args:
         paths: bags with the estimates and, if available, the ground truth.
+        on_message: called after each message, for a progress bar.
 
     Returns:
         The outputs by vehicle, sorted by name; and the error if a bag is damaged: the outputs then end at the
@@ -105,14 +119,14 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
     for name in names:
         if f"/{name}/{FRAMES}" in topics:
             outputs[name].frames_in = topics[f"/{name}/{FRAMES}"].count
-    wanted = [f"/{name}/{ending}" for name in names for ending in (*POSES, STATUS, QUALITY)]
-    messages, left_out = _Readable(iter_raw(paths, wanted)), Counter[str]()
+    messages, left_out = _Readable(iter_raw(paths, _wanted(names))), Counter[str]()
     for raw in messages:
         _, name, ending = raw.topic.split("/", 2)
         if ending != TRUTH:
             _store(outputs[name], ending, raw)
         elif raw.msgtype in TRUTH_TYPES and not _store_truth(outputs[name], raw):
             left_out[name] += 1
+        on_message()
     for name, recorded in outputs.items():
         recorded.warnings += _truth_warnings(topics, name, len(recorded.truth), left_out[name])
     for name, recorded in outputs.items():
@@ -124,6 +138,11 @@ def _vehicles(topics: dict[str, TopicInfo]) -> list[str]:
     """Return the names of the vehicles that have an own-only track, sorted."""
     found = {topic for topic, info in topics.items() if info.msgtype == ESTIMATE_TYPES[0]}
     return sorted(t.split("/")[1] for t in found if t.count("/") == 2 and t.endswith(f"/{ODOMETRY}"))
+
+
+def _wanted(names: Sequence[str]) -> list[str]:
+    """Return the topics of vehicles that are read."""
+    return [f"/{name}/{ending}" for name in names for ending in (*POSES, STATUS, QUALITY)]
 
 
 def _truth_warnings(topics: dict[str, TopicInfo], name: str, count: int, left_out: int) -> Iterator[str]:
