@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from fed_stage import feed
 
+from uav_vslam.config import StartConfig
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.source import SimulatedSource
@@ -110,6 +111,21 @@ def test_at_rest_nothing_is_measured(flown) -> None:
     assert [monitor.add(features, nav, nav, still, flight.vehicle.rig) for _ in range(30)] == [""] * 30
     assert monitor._found.count == 0
     assert monitor._watching
+
+
+@pytest.mark.parametrize(("seed", "readout_s"), [(11, 0.02), (13, -0.02)])
+def test_a_start_in_flight_is_found(flown, seed: int, readout_s: float) -> None:
+    flight = flown(seed, frames=30, tracked_px=PX, readout_s=readout_s)
+    given = flight.tracking_stage(PX, readout_s=readout_s)._config
+    config = dataclasses.replace(given, start=StartConfig(method="in_flight"))
+    source = SimulatedSource(flight.vehicle, features=tuple(features for features, _ in flight.frames))
+    track = track_vehicle(source, config)
+    assert track.warnings == []
+    assert len(track.outputs) == 30
+    nav = track.outputs[-1].report.nav
+    true = flight.vehicle.true_state(nav.state.stamp_ns)
+    of_body, truly = (state.T_map_body.R.T @ state.v_map for state in (nav.state, true))
+    assert np.linalg.norm(of_body - truly) < 0.3
 
 
 def test_the_smoothed_flight_uses_the_same_points(flown) -> None:

@@ -38,8 +38,14 @@ def exposed_at_once(
         return features
     if increment is None:
         return StereoFeatures.empty(features.stamp_ns)
-    turning = Turning.at_end(increment, nav)
-    pixels = features.pixels.astype(float)
+    pixels = pixels_at_once(
+        features.pixels.astype(float), nav, Turning.at_end(increment, nav), rig=rig, readout_s=readout_s
+    )
+    return dataclasses.replace(features, pixels=pixels.astype(features.pixels.dtype))
+
+
+def pixels_at_once(pixels: Array, nav: NavState, turning: Turning, *, rig: StereoRig, readout_s: float) -> Array:
+    """Return (N, 4) stereo pixels as `exposed_at_once` does, given how the vehicle turns about the stamp."""
     shares = [below_middle(rig.left, pixels[:, :2]), below_middle(rig.right, pixels[:, 2:])]
     later_s = readout_s * np.column_stack(shares)[..., None]
     points = rig.triangulate(pixels)
@@ -47,8 +53,7 @@ def exposed_at_once(
     points[far] = FAR_M * rig.left.bearings(pixels[far, :2])
     moving = velocities_left(points[:, None], nav, turning.rate_map + 0.5 * later_s * turning.slope_map, rig)
     flow = np.einsum("ncki,nci->nck", rig.project_jacobian(points).reshape(-1, 2, 2, 3), moving)
-    at_once = pixels - (flow * later_s).reshape(-1, 4)
-    return dataclasses.replace(features, pixels=at_once.astype(features.pixels.dtype))
+    return np.asarray(pixels - (flow * later_s).reshape(-1, 4))
 
 
 def below_middle(camera: PinholeCamera, pixels: Array) -> Array:
