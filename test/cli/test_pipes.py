@@ -19,18 +19,22 @@ from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 
 
-@pytest.mark.slow
-def test_a_run_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
-    bag, results = tmp_path / "flight", tmp_path / "results"
-    record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=4, scale=0.125, seed=3), bag)
-    options = ["--no-plots", "--no-maps", "--no-smoothing", "--workers", "1", "--results", str(results)]
-    command = [sys.executable, "-m", "uav_vslam.cli.main", "run", str(bag), *options]
+def check_saved_unread(results: Path, *arguments: str) -> None:
+    """Run the command with a standard output that nobody reads; check that it has left a summary."""
+    command = [sys.executable, "-m", "uav_vslam.cli.main", *arguments, "--no-plots", "--results", str(results)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     process.stdout.close()
     _, said = process.communicate()
     assert b"Traceback" not in said
     assert (results / "latest" / "summary.json").is_file(), said.decode()
+
+
+@pytest.mark.slow
+def test_a_run_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
+    bag, results = tmp_path / "flight", tmp_path / "results"
+    record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=4, scale=0.125, seed=3), bag)
+    check_saved_unread(results, "run", str(bag), "--no-maps", "--no-smoothing", "--workers", "1")
 
 
 def test_an_evaluation_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
@@ -40,14 +44,7 @@ def test_an_evaluation_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None
             sample = TruthSample(10**9 * (k + 1), Pose.identity(), np.zeros(3), np.zeros(3))
             data = encode(truth_message(sample, frame_id="map", child_frame_id="base_link"))
             recorder.write("/uav1/odometry", "nav_msgs/msg/Odometry", data, sample.stamp_ns)
-    options = ["evaluate", str(bag), "--no-plots", "--results", str(results)]
-    command = [sys.executable, "-m", "uav_vslam.cli.main", *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert process.stdout is not None
-    process.stdout.close()
-    _, said = process.communicate()
-    assert b"Traceback" not in said
-    assert (results / "latest" / "summary.json").is_file(), said.decode()
+    check_saved_unread(results, "evaluate", str(bag))
 
 
 def test_a_terminal_without_a_character_shows_the_rest_of_the_table(tmp_path: Path) -> None:

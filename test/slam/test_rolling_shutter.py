@@ -88,7 +88,7 @@ def test_a_global_shutter_is_not_suspected(flown) -> None:
         flight = flown(seed, frames=40, tracked_px=PX)
         stage = flight.tracking_stage(PX)
         assert named(feed(stage, flight.frames)) == []
-        assert not stage._shutter._watching  # it has been judged
+        assert not stage._shutter.watching  # it has been judged
 
 
 def test_a_pair_with_an_unknown_motion_does_not_count(flown) -> None:
@@ -110,7 +110,7 @@ def test_at_rest_nothing_is_measured(flown) -> None:
     still = dataclasses.replace(step, start_ns=step.stamp_ns, rate_start=nav.gyro_bias, rate_end=nav.gyro_bias)
     assert [monitor.add(features, nav, nav, still, flight.vehicle.rig) for _ in range(30)] == [""] * 30
     assert monitor._found.count == 0
-    assert monitor._watching
+    assert monitor.watching
 
 
 @pytest.mark.parametrize(("seed", "readout_s"), [(11, 0.02), (13, -0.02)])

@@ -5,6 +5,7 @@ import numpy as np
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.numerics import inverse_spd
 from uav_vslam.types import JointInformation, MappedLandmarks
 
 NONE = MappedLandmarks(np.zeros(0, np.uint32), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -42,7 +43,8 @@ class LandmarkRecord:
 def _landmarks(joint: JointInformation) -> MappedLandmarks:
     """Return the landmarks of a belief with the blocks of their covariance."""
     own = POSE_DIM + np.arange(3 * len(joint.ids)).reshape(-1, 3)
-    return MappedLandmarks(joint.ids, joint.positions, joint.covariance[own[:, :, None], own[:, None, :]])
+    P = inverse_spd(joint.information, "joint information")  # not `joint.covariance`: kept, it takes as much again
+    return MappedLandmarks(joint.ids, joint.positions, P[own[:, :, None], own[:, None, :]])
 
 
 def _rows(landmarks: MappedLandmarks, rows: np.ndarray) -> MappedLandmarks:

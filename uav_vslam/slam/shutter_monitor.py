@@ -67,17 +67,21 @@ class _Mean:
 
 
 class ShutterMonitor:
-    """Watches pairs of frames until the readout is known, and judges it once."""
+    """Watches pairs of frames until the readout is known, and judges it once.
+
+    Attributes:
+        watching: the readout is not known yet.
+    """
 
     def __init__(self, readout_s: float) -> None:
         self._configured_s = readout_s
         self._before: StereoFeatures | None = None
         self._found = _Mean()
-        self._watching = True
+        self.watching = True
 
     def begin(self, features: StereoFeatures) -> None:
         """Begin with a frame: the motion up to there is not known well."""
-        self._before = features if self._watching else None
+        self._before = features if self.watching else None
 
     def add(
         self, features: StereoFeatures, before: NavState, now: NavState, increment: ImuIncrement, rig: StereoRig
@@ -91,7 +95,7 @@ class ShutterMonitor:
             increment: that motion.
             rig: calibration.
         """
-        if not self._watching:
+        if not self.watching:
             return ""
         shown, self._before = self._before, features
         if shown is not None and shown.stamp_ns == increment.start_ns:
@@ -103,7 +107,7 @@ class ShutterMonitor:
         if self._found.count < FEWEST_PAIRS or self._found.sigma > KNOWN_S:
             return ""
         readout_s, sigma_s = self._found.mean, self._found.sigma
-        self._watching, self._before = False, None
+        self.watching, self._before = False, None
         if abs(readout_s - self._configured_s) < max(WARNED_S, WARNED_SIGMAS * sigma_s):
             return ""
         return (

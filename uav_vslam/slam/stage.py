@@ -430,6 +430,8 @@ class SlamStage:
     ) -> tuple[StereoFeatures, str]:
         """Return what a global shutter would show of a frame, and a warning if that needs another readout."""
         before, readout_s = backend.nav.state, self._config.rig.readout_s
+        if readout_s == 0.0 and not self._shutter.watching:
+            return features, ""
         now = before if increment is None else propagate(before, increment, gravity=self._config.imu.gravity)
         at_once = exposed_at_once(features, now, increment, rig=rig, readout_s=readout_s)
         if increment is None or lacks_readings(increment) or backend.imu_fault:
