@@ -8,6 +8,7 @@ about the offset that was found, until it stays there.
 """
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from uav_vslam.config import VehicleConfig
@@ -79,10 +80,10 @@ class ClockOffsetMonitor:
             backend, report = self._sought(backend, config) or (backend, report)
         while (found := report.time_offset) is not None and report.tracked and self._is_far(found):
             self._times += 1
-            again, reports = self._replayed(found.mean_s, backend, config)
-            if any(one.recovery for one in reports):
+            again = self._replayed(found.mean_s, backend, config, goes_on=_is_no_recovery)
+            if again is None:
                 break
-            backend, report = again, reports[-1]
+            backend, report = again
         if backend is not before:  # what has been kept since is linearised elsewhere
             self._past = self._past[:1]
         return backend, report, "" if found is None else self._settle(backend, found)
@@ -95,20 +96,24 @@ class ClockOffsetMonitor:
         """Return the first of back ends about other offsets that most tracks of each frame fit; None without one."""
         before_s = self._about_s
         for offset_s in SOUGHT_S:
-            backend, reports = self._replayed(offset_s, present, config)
-            if all(2 * report.associated > report.tracked for report in reports if report.tracked):
-                return backend, reports[-1]
+            found = self._replayed(offset_s, present, config, goes_on=_is_explained)
+            if found is not None:
+                return found
         self._about_s = before_s
         return None
 
     def _replayed(
-        self, about_s: float, present: SlamBackend, config: VehicleConfig
-    ) -> tuple[SlamBackend, list[FrameReport]]:
-        """Return a back end that is linearised about an offset, and its reports."""
+        self, about_s: float, present: SlamBackend, config: VehicleConfig, *, goes_on: Callable[[FrameReport], bool]
+    ) -> tuple[SlamBackend, FrameReport] | None:
+        """Return a back end that is linearised about an offset, and its last report; None where it does not go on."""
         self._about_s = about_s
         backend = self._past[0].backend.to_replace(present, config)
         backend.expect_time_offset(about_s)
-        return backend, [backend.process(features, increment) for features, increment in self._past[0].frames]
+        for frame in self._past[0].frames:
+            report = backend.process(*frame)
+            if not goes_on(report):
+                return None
+        return backend, report
 
     def _settle(self, backend: SlamBackend, found: TimeOffset) -> str:
         """Stop watching once the offset is known, and return a warning if it is large; else keep the back end."""
@@ -119,6 +124,15 @@ class ClockOffsetMonitor:
         if backend.stamp_ns - self._past[-1].stamp_ns > EVERY_S * NS_PER_S:
             self._past = [*self._past, _Past(copy.deepcopy(backend))][-KEPT:]
         return ""
+
+
+def _is_no_recovery(report: FrameReport) -> bool:
+    return not report.recovery
+
+
+def _is_explained(report: FrameReport) -> bool:
+    """Return whether most tracks of a frame, if it has any, are where they are predicted."""
+    return not report.tracked or 2 * report.associated > report.tracked
 
 
 def _warning(found: TimeOffset) -> str:
