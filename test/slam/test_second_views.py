@@ -32,10 +32,10 @@ def past_poses(backend: SlamBackend) -> int:
 
 
 def mean_nees(flown) -> float:
-    """Return the mean position NEES per axis of six flights."""
+    """Return the mean position NEES per axis of four flights."""
     nees = []
-    for seed in range(1, 7):
-        flight = flown(seed, frames=30, frame_rate_hz=FAR_HZ)
+    for seed in range(1, 5):
+        flight = flown(seed, frames=FRAMES, frame_rate_hz=FAR_HZ)
         _, reports = fly(flight)
         poses = [report.pose for report in reports[5:]]
         nees += [position_nees(pose, flight.vehicle.true_state(pose.stamp_ns)) for pose in poses]

@@ -19,7 +19,7 @@ from uav_vslam.slam.track_noise import FRAMES, LEAST_POINTS, NOISE_RATIO, TrackN
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 CONFIGURED_PX = 0.07
-FLIGHTS = 12
+FLIGHTS = 8
 
 
 def frame(rig: StereoRig, sigma_px: float, *, count: int = 200, seed: int = 0, tracked: bool = True) -> StereoFeatures:
