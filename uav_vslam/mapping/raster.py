@@ -5,6 +5,7 @@ Cell (column, row) covers x from column * cell_m to (column + 1) * cell_m, and y
 Arrays over a window therefore have south first; only files of pictures turn them over.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -33,12 +34,12 @@ class Raster:
     @staticmethod
     def covering(points: ArrayLike, cell_m: float) -> "Raster":
         """Return the smallest window whose cells contain (N, 2 or more) points x, y [m]; empty without any."""
-        xy = np.asarray(points, dtype=float)
-        if len(xy) == 0:
+        points = np.asarray(points)
+        if len(points) == 0:
             return Raster(cell_m, 0, 0, 0, 0)
-        low, high = np.floor(np.stack([xy[:, :2].min(axis=0), xy[:, :2].max(axis=0)]) / cell_m).astype(int)
-        columns, rows = high - low + 1
-        return Raster(cell_m, int(low[0]), int(low[1]), int(columns), int(rows))
+        x, y = points[:, 0], points[:, 1]  # each by itself: numpy takes ten times as long for a minimum over rows
+        west, east, south, north = (math.floor(float(end) / cell_m) for end in (x.min(), x.max(), y.min(), y.max()))
+        return Raster(cell_m, west, south, east - west + 1, north - south + 1)
 
     @property
     def shape(self) -> tuple[int, int]:

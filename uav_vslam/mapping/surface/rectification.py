@@ -79,11 +79,10 @@ class RectifiedPair:
         x = ((np.arange(width) + self.corner_px[0]) / self.focal_px).astype(np.float32)
         y = ((np.arange(height) + self.corner_px[1]) / self.focal_px).astype(np.float32)[:, None]
         depth = np.float32(self.focal_px * self.baseline_m) / (disparity_px[chosen] + np.float32(self.shift_px))
-        row, column = np.nonzero(chosen)
         R, t = self.R_map_rect.astype(np.float32), self.left.T_map_cam.t.astype(np.float32)
         points = np.empty((3, len(depth)), np.float32)
         for axis in range(3):
-            points[axis] = t[axis] + depth * (R[axis, 0] * x + (R[axis, 1] * y + R[axis, 2]))[row, column]
+            points[axis] = t[axis] + depth * (R[axis, 0] * x + (R[axis, 1] * y + R[axis, 2]))[chosen]
         return points.T
 
     def _warped(self, view: PreparedView, shift_px: float) -> Grey:

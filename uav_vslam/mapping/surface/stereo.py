@@ -64,9 +64,9 @@ class PairPoints:
     def above(self, low_m: float) -> "PairPoints":
         """Return the points between a height [m] and the cameras': a disparity near that of infinity is far away."""
         height = self.points_map[:, 2]
-        kept = (height >= low_m) & (height < self.camera_map[2])
-        share = self.share * float(kept.mean()) if len(kept) else 0.0
-        points = self.points_map.T[:, kept].T  # each axis stays contiguous
+        kept = np.flatnonzero((height >= low_m) & (height < self.camera_map[2]))
+        share = self.share * len(kept) / len(height) if len(height) else 0.0
+        points = self.points_map.T.take(kept, axis=1).T  # each axis stays contiguous
         return dataclasses.replace(self, points_map=points, share=share)
 
 
