@@ -16,9 +16,9 @@ from uav_vslam.cooperation.exchange import Exchange, Receiver
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
 from uav_vslam.pipeline import VehicleTrack
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.packet import payload_bytes
 from uav_vslam.slam.saved_map import load_map
-from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.types import NS_PER_S, LandmarkPacket, LinkEpoch, PoseEstimate
 
 

@@ -14,9 +14,10 @@ from uav_vslam.ins.outliers import OUTLIER, OutlierFilter
 from uav_vslam.ins.preintegrator import ImuPreintegrator
 from uav_vslam.ins.sensor_clock import bridges, sensor_time_line
 from uav_vslam.ins.sensor_lag import IMAGES, IMU
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.landmark_record import LandmarkRecord
 from uav_vslam.slam.saved_map import Mapped, SavedMap
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.stamps import Admitted
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend

@@ -15,8 +15,8 @@ from uav_vslam.estimation.rig_belief import DisparityEstimate, TimeOffset  # noq
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ros.backend_status import MANY_BLIND, MANY_COASTED, BackendStatus  # noqa: E402
 from uav_vslam.ros.vehicle_node import VehicleNode  # noqa: E402
+from uav_vslam.slam.frame_output import FrameOutput  # noqa: E402
 from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
-from uav_vslam.slam.stage import FrameOutput  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -105,7 +105,7 @@ def test_recoveries_and_gaps_in_the_readings_are_alarms_while_they_are_recent(ma
     flight.start()
     flight.fly(0, 6)
     assert (flight.backend.alarms, flight.ins.alarms) == ({}, {})
-    flight.backend._stage._backend._filter.belief.Y[3, 3] = -1.0
+    flight.backend._stage._flight.backend._filter.belief.Y[3, 3] = -1.0
     with monkeypatch.context() as patch:
         patch.setattr(flight, "_read", lambda *_: None)
         flight.fly(6, 8)

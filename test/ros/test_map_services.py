@@ -150,7 +150,7 @@ def test_a_node_that_loads_a_map_starts_in_it_and_saves_the_offline_twin_s_map(
 def test_the_node_goes_on_while_a_map_is_saved(node: Node, ground: Ground, tmp_path: Path) -> None:
     node.call("load_map", ground.file)
     node.fly(ground.frames)
-    archive = node.backend._stage._archive
+    archive = node.backend._stage._flight.archive
     assert archive is not None
     archive._parts = archive._rest() * LONG  # as after a long flight
     saving = node.begin("save_map", tmp_path / "uav2_map.npz")
@@ -175,7 +175,7 @@ def test_what_goes_wrong_is_the_response_and_the_node_goes_on(node: Node, tmp_pa
 
 
 def test_a_failure_that_nobody_foresaw_does_not_end_a_node_in_flight(node: Node, tmp_path: Path) -> None:
-    archive, one = node.backend._stage._archive, np.ones(1, np.uint32)
+    archive, one = node.backend._stage._flight.archive, np.ones(1, np.uint32)
     assert archive is not None
     lost = np.zeros(0, np.float32)  # the covariance of a landmark: bounding it raises ValueError
     archive._parts = [MappedPlace(one, np.zeros((1, 3)), lost, np.zeros((1, 128), np.uint8), one)]

@@ -16,8 +16,9 @@ from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.increments import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
+from uav_vslam.slam.frame_output import FrameOutput  # noqa: E402
 from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
-from uav_vslam.slam.stage import FrameOutput, SlamStage  # noqa: E402
+from uav_vslam.slam.stage import SlamStage  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, StereoFeatures  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -17,7 +17,8 @@ from uav_vslam.config import BackendConfig, RigConfig, VehicleConfig
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.frame_output import FrameOutput
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
 
 

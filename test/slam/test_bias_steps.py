@@ -15,7 +15,8 @@ from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import corrected
 from uav_vslam.slam.backend import SKIPPED_IDS
 from uav_vslam.slam.bias_steps import SETTLED_S, correction
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.frame_output import FrameOutput
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 
 FRAMES, FIRST, SIGMA_PX = 76, 50, 0.05

@@ -15,7 +15,8 @@ from uav_vslam.simulation.scenario import SCENARIOS, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.backend import SKIPPED_IDS
 from uav_vslam.slam.checkpoint import load_checkpoint, save_checkpoint
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.frame_output import FrameOutput
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import ImuIncrement, ImuSample, StereoFeatures
 
 Inputs = list[ImuIncrement | StereoFeatures]

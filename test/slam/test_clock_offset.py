@@ -7,7 +7,7 @@ from fed_stage import feed
 
 from uav_vslam.slam import clock_offset
 from uav_vslam.slam.clock_offset import EVERY_S, KEPT, ClockOffsetMonitor
-from uav_vslam.slam.stage import FrameOutput
+from uav_vslam.slam.frame_output import FrameOutput
 
 PX = 0.05
 
@@ -49,7 +49,7 @@ def test_a_right_clock_is_watched_for_a_second_only_and_nothing_changes(flown, m
     flight = flown(1, frames=24, tracked_px=PX)
     stage = flight.tracking_stage(PX)
     watched = feed(stage, flight.frames)
-    assert not stage._clock._past
+    assert not stage._flight._clock._past
     monkeypatch.setattr(ClockOffsetMonitor, "check", lambda self, backend, f, i, report, c: (backend, report, ""))
     for output, other in zip(watched, feed(flight.tracking_stage(PX), flight.frames), strict=True):
         np.testing.assert_array_equal(output.report.pose.T_map_body.t, other.report.pose.T_map_body.t)
@@ -61,6 +61,6 @@ def test_an_offset_that_is_not_known_yet_keeps_few_frames(flown, monkeypatch: py
     stage, kept = flight.tracking_stage(PX), []
     for frame in flight.frames:
         feed(stage, [frame])
-        kept.append([len(one.frames) for one in stage._clock._past])
+        kept.append([len(one.frames) for one in stage._flight._clock._past])
     assert max(len(one) for one in kept) == KEPT
     assert max(max(one) for one in kept) * 0.14 < (KEPT + 0.5) * EVERY_S  # a frame every 0.14 s

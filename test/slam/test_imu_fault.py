@@ -13,8 +13,9 @@ from flown_copy import copy_of
 from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import preintegrate
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.imu_fault import FAULTY_AFTER, HEALTHY_AFTER, ImuFaultDetector
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import ImuIncrement, ImuSample, StereoFeatures
 
 FRAMES, FIRST, SIGMA_PX = 60, 20, 0.05

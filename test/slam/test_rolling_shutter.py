@@ -12,9 +12,9 @@ from uav_vslam.config import StartConfig
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.rolling_shutter import exposed_at_once
 from uav_vslam.slam.shutter_monitor import ShutterMonitor
-from uav_vslam.slam.stage import FrameOutput
 
 PX = 0.05
 NAMED = "the rows of an image are exposed one after another"
@@ -90,7 +90,7 @@ def test_a_global_shutter_is_not_suspected(flown) -> None:
         flight = flown(seed, frames=24, tracked_px=PX)
         stage = flight.tracking_stage(PX)
         assert named(feed(stage, flight.frames)) == []
-        assert not stage._shutter.watching  # it has been judged
+        assert not stage._flight._shutter.watching  # it has been judged
 
 
 def test_a_pair_with_an_unknown_motion_does_not_count(flown) -> None:

@@ -9,9 +9,10 @@ from flown_copy import copy_of
 
 from uav_vslam.ins.increments import unknown_motion
 from uav_vslam.ins.preintegrator import advance
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.imu_fault import ImuFaultDetector
 from uav_vslam.slam.seen_motion import MIN_INLIERS, MotionFinder, Step
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import ImuIncrement, NavEstimate, StereoFeatures
 
 FRAMES, SIGMA_PX, FIRST = 45, 0.05, 10

@@ -14,9 +14,10 @@ from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegrator import advance
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.saved_map import MapOrigin, SavedMap, save_map
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import SlamStage
 
 IN_FLIGHT = StartConfig(method="in_flight")
 
@@ -145,7 +146,7 @@ def test_a_reinitialised_filter_is_reported(flown) -> None:
     stage = make(flight)
     stage.start(flight.vehicle.initial)
     assert [o.warnings for o in feed(stage, flight.frames[:8])] == [()] * 8
-    stage._backend._filter.belief.Y[3, 3] = -1.0
+    stage._flight.backend._filter.belief.Y[3, 3] = -1.0
     outputs = feed(stage, flight.frames[8:12])
     assert [len(o.warnings) for o in outputs] == [1, 0, 0, 0]
     assert "re-initialised" in outputs[0].warnings[0]
@@ -157,7 +158,7 @@ def test_an_estimate_that_proves_indefinite_at_an_epoch_costs_a_recovery_and_no_
     stage = make(flight)
     stage.start(flight.vehicle.initial)
     outputs = feed(stage, flight.frames[:10])
-    before = type(stage._backend._filter).pose_landmark_information
+    before = type(stage._flight.backend._filter).pose_landmark_information
     failures = [FilterDivergence("information is not positive definite")]
 
     def fail_once(self) -> np.ndarray:
@@ -165,7 +166,7 @@ def test_an_estimate_that_proves_indefinite_at_an_epoch_costs_a_recovery_and_no_
             raise failures.pop()
         return before(self)
 
-    monkeypatch.setattr(type(stage._backend._filter), "pose_landmark_information", fail_once)
+    monkeypatch.setattr(type(stage._flight.backend._filter), "pose_landmark_information", fail_once)
     outputs += feed(stage, flight.frames[10:])
     assert stamps(outputs) == [f.stamp_ns for f, _ in flight.frames]
     (lost,) = [o for o in outputs if o.report.recovery]
@@ -264,7 +265,7 @@ def test_dead_reckoning_misses_no_step_where_the_filter_fails(flown, monkeypatch
         raise ValueError("broken")
 
     with monkeypatch.context() as patch:
-        patch.setattr(stage._backend, "process", fail)
+        patch.setattr(stage._flight.backend, "process", fail)
         with pytest.raises(ValueError, match="broken"):
             feed(stage, [flight.frames[failing]])
     outputs = feed(stage, flight.frames[failing + 1 :])
@@ -326,7 +327,7 @@ def test_a_rig_is_not_blamed_for_an_unknown_motion(flown, unknown: bool) -> None
     stage = make(flight, rig=False)
     stage.rig = dataclasses.replace(flight.vehicle.rig, T_body_right=turned)
     stage.start(flight.vehicle.initial)
-    stage._start_watch.stop(0)  # as for a start that was accepted
+    stage._flight._start_watch.stop(0)  # as for a start that was accepted
     frames = [*flight.frames[:1], *flight.frames[7 if unknown else 1 :]]
     told = [text for output in feed(stage, frames) for text in output.warnings]
     assert any("contradicts the calibration" in text for text in told) == (not unknown)

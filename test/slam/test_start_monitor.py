@@ -13,8 +13,9 @@ from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.propagation import VELOCITY
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.frame_report import FrameReport
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.slam.start_monitor import (
     MAX_COASTED,
     NEGLIGIBLE,

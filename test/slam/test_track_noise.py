@@ -13,8 +13,9 @@ from uav_vslam.estimation.tracks import OFFSET
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.noise_monitor import NoiseMonitor
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.slam.track_noise import FRAMES, LEAST_POINTS, NOISE_RATIO, TrackNoise
 from uav_vslam.types import ImuIncrement, StereoFeatures
 

@@ -3,7 +3,8 @@
 
 from collections.abc import Iterable
 
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.frame_output import FrameOutput
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 

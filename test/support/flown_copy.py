@@ -9,5 +9,5 @@ from uav_vslam.slam.stage import SlamStage
 def copy_of(stage: SlamStage) -> SlamStage:
     """Return a copy that flies on as the stage would; a checkpoint, and so a plain copy, leaves out earlier states."""
     copied = copy.deepcopy(stage)
-    copied._bias_steps = copy.deepcopy(stage._bias_steps)
+    copied._flight._bias_steps = copy.deepcopy(stage._flight._bias_steps)
     return copied

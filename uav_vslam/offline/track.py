@@ -12,10 +12,10 @@ from uav_vslam.errors import BagError, FilterDivergence, UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.offline.source import FlightSource, start_state
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
 from uav_vslam.slam.rolling_shutter import exposed_at_once
 from uav_vslam.slam.saved_map import Mapped
-from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.smoother import smooth
 from uav_vslam.types import StereoFeatures

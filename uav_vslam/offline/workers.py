@@ -13,7 +13,7 @@ from uav_vslam.offline.source import FlightSource
 from uav_vslam.offline.track import VehicleFlight
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.processes import worker_pool
-from uav_vslam.slam.stage import FrameOutput
+from uav_vslam.slam.frame_output import FrameOutput
 
 Frame = tuple[str, FrameOutput]  # with the vehicle's name
 BATCH = 8  # frames that a worker returns at a time

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.slam.stage import FrameOutput
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.types import NS_PER_S, StereoFeatures
 
 Array = NDArray[np.float64]

@@ -3,9 +3,9 @@
 
 from uav_vslam.ros.health import RECENT_S, RecentEvents
 from uav_vslam.ros.vehicle_node import VehicleNode
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
-from uav_vslam.slam.stage import FrameOutput
 
 OF_FRAMES = "coasted", "recovery", "warning"  # alarms
 MANY_COASTED, MANY_BLIND = 5, 30  # frames of the last `RECENT_S`; a camera may be covered for a moment

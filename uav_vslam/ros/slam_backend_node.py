@@ -51,8 +51,9 @@ from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.vehicle_node import MAX_PATH, VehicleNode
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.clocked_stage import ClockedStage
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.session import next_session
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import SlamStage
 from uav_vslam.slam.state_folder import state_folder
 from uav_vslam.types import NS_PER_S, NavEstimate
 from uav_vslam.types import JointInformation as Joint

@@ -6,87 +6,21 @@ The node `slam_backend` and the offline pipeline both run it, so their results a
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.errors import FilterDivergence, MapError
+from uav_vslam.errors import MapError
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.increments import bridged, lacks_readings, unknown_motion_since
-from uav_vslam.ins.preintegrator import DeadReckoning
-from uav_vslam.ins.propagation import propagate
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
-from uav_vslam.slam.backend import SlamBackend
-from uav_vslam.slam.bias_steps import BiasStepMonitor
-from uav_vslam.slam.clock_offset import ClockOffsetMonitor
-from uav_vslam.slam.epochs import crosses_epoch
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.frame_queue import FrameQueue
-from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
-from uav_vslam.slam.noise_monitor import NoiseMonitor
-from uav_vslam.slam.rig_monitor import RigMonitor
-from uav_vslam.slam.rolling_shutter import exposed_at_once
 from uav_vslam.slam.saved_map import MapOrigin, Mapped, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
-from uav_vslam.slam.shutter_monitor import ShutterMonitor
-from uav_vslam.slam.start_watch import StartWatch
-from uav_vslam.types import (
-    NS_PER_S,
-    FrameQuality,
-    ImuIncrement,
-    JointInformation,
-    NavEstimate,
-    StereoFeatures,
-)
+from uav_vslam.slam.slam_flight import SlamFlight
+from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 
 MANY_UNPAIRED = 10  # recent frames without an increment of their stamp: no accident
-UNKNOWN_ROTATION_RAD = 0.25  # 1 sigma about an axis: half a second without readings
-
-
-@dataclass(frozen=True, slots=True)
-class FrameOutput:
-    """All outputs of a frame.
-
-    Attributes:
-        report: own-only SLAM.
-        dead_reckoning: the uncorrected INS at the same stamp.
-        joint: the estimate of pose and landmarks, at epochs only.
-        increment: the motion since the frame before that the back end used; None at the start itself.
-        warnings: problems for the user; normally none.
-    """
-
-    report: FrameReport
-    dead_reckoning: NavEstimate
-    joint: JointInformation | None
-    increment: ImuIncrement | None
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def quality(self) -> FrameQuality:
-        """How the frame went, judged without ground truth."""
-        report, innovation = self.report, self.report.innovation
-        offset, disparity = report.time_offset, report.disparity
-        return FrameQuality(
-            stamp_ns=report.pose.stamp_ns,
-            features=report.features,
-            tracked=report.tracked,
-            associated=report.associated,
-            downweighted=innovation.downweighted if innovation else 0,
-            landmarks=report.landmarks,
-            coasted=report.coasted,
-            relocalised=report.relocalised,
-            restarted=report.recovery != "",
-            closures=report.closures,
-            nis=innovation.nis if innovation else 0.0,
-            dof=innovation.dof if innovation else 0,
-            gate_probability=report.gate_probability,
-            events=self.warnings,
-            time_offset_s=offset.mean_s if offset else 0.0,
-            time_offset_sigma_s=offset.sigma_s if offset else 0.0,
-            disparity_error_px=disparity.mean_px if disparity else 0.0,
-            disparity_error_sigma_px=disparity.sigma_px if disparity else 0.0,
-        )
 
 
 class SlamStage:
@@ -122,35 +56,19 @@ class SlamStage:
         self._in_flight = config.start.searches
         self._queue = FrameQueue()
         self._search: InFlightInitializer | None = None
-        self._backend: SlamBackend | None = None
-        self._start_watch = StartWatch(config.start.method, config.imu)
-        self._rig_monitor, self._noise_monitor = RigMonitor(config.rig), NoiseMonitor(config.imu)
-        self._shutter = ShutterMonitor(config.rig.readout_s)
-        self._bias_steps = BiasStepMonitor()
-        self._clock: ClockOffsetMonitor | None = None
-        self._dead_reckoning = DeadReckoning(config.imu)
-        self._previous_ns: int | None = None
+        self._flight: SlamFlight | None = None  # begins with the first frame
         self._start_warning = ""  # of the start state that was found
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
-        self._was_motion_unknown = False
-        self._motion_lost = self._start_unreachable = 0
-        self._archive = self._new_archive() if keep_map else None
+        self._start_unreachable = 0
+        self._keep_map = keep_map
         self._map = loaded
         if loaded is None and config.start.map:
             self._map = self._checked(load_map(config.start.map))
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 
-    def _new_archive(self) -> MapArchive:
-        return MapArchive(self._origin(self._session))
-
     def _origin(self, session: int) -> MapOrigin:
         return MapOrigin(self._vehicle, session, self._config.frames.map_of(self._vehicle), stamp_ns=0)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out of checkpoints what makes them large: archived landmarks, and earlier states of the back end."""
-        archive = None if self._archive is None else self._new_archive()
-        return self.__dict__ | {"_archive": archive, "_bias_steps": BiasStepMonitor(), "_clock": None}
 
     @property
     def missing_start(self) -> str:
@@ -174,7 +92,7 @@ class SlamStage:
             "before_start": before_start,
             "frame_lost": self._queue.lost,
             "without_motion": self._queue.without_motion,
-            "motion_lost": self._motion_lost,
+            "motion_lost": self._flight.motion_lost if self._flight is not None else 0,
             "motion_refused": self._queue.motion_refused,
             "start_too_old": self._start_unreachable,
         }
@@ -192,7 +110,7 @@ class SlamStage:
     @property
     def imu_fault(self) -> str:
         """Why the motion is taken from the images alone; empty without a fault of the IMU."""
-        return self._backend.imu_fault if self._backend is not None else ""
+        return self._flight.backend.imu_fault if self._flight is not None else ""
 
     @property
     def session(self) -> int:
@@ -202,12 +120,12 @@ class SlamStage:
     @property
     def stamp_ns(self) -> int | None:
         """Time of the estimate [ns]; None before the first frame."""
-        return self._backend.stamp_ns if self._backend is not None else None
+        return self._flight.backend.stamp_ns if self._flight is not None else None
 
     @property
     def nav(self) -> NavEstimate | None:
         """The newest estimate; None before the first frame."""
-        return self._backend.nav if self._backend is not None else None
+        return self._flight.backend.nav if self._flight is not None else None
 
     def restarted(self, session: int, initial: NavEstimate | None = None) -> "SlamStage":
         """Return a stage that starts again, with the same settings, rig and map to start in; it reads no file.
@@ -220,7 +138,7 @@ class SlamStage:
             self._config,
             vehicle=self._vehicle,
             session=session,
-            keep_map=self._archive is not None,
+            keep_map=self._keep_map,
             loaded=self._map,
         )
         stage.rig, stage._is_announced = self.rig, False
@@ -230,30 +148,28 @@ class SlamStage:
 
     def resume(self) -> None:
         """Go on after a restart: landmarks since the checkpoint may be known to peers, so identifiers are skipped."""
-        if self._backend is not None:
-            self._backend.skip_landmark_ids()
+        if self._flight is not None:
+            self._flight.backend.skip_landmark_ids()
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
         self._config = config
-        for part in (self._search, self._backend):
+        for part in (self._search, self._flight):
             if part is not None:
                 part.configure(config)
 
     def start(self, initial: NavEstimate) -> None:
         """Set the start state; a later one counts only before the first frame, and not in flight."""
-        if self.initial is None or (self._backend is None and not self._in_flight):
+        if self.initial is None or (self._flight is None and not self._in_flight):
             self.initial = initial
-            self._dead_reckoning.start(initial)
-            self._start_watch.start(initial)
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
     def mapped(self) -> Mapped:
         """Return all landmarks mapped until the last epoch; none without `keep_map`."""
-        if self._archive is None:
+        if self._flight is None or self._flight.archive is None:
             return Mapped(self._origin(self._session))
-        mapped = self._archive.mapped()
+        mapped = self._flight.archive.mapped()
         others = self._start_map.origin.sources if self._start_map else ()
         return dataclasses.replace(mapped, origin=dataclasses.replace(mapped.origin, other_sources=others))
 
@@ -321,7 +237,7 @@ class SlamStage:
         A back end that comes late, or is restarted without a checkpoint, must not take the take-off state for its own.
         """
         increment = frame[1]
-        if self._backend is not None or increment is None or self.initial is None:
+        if self._flight is not None or increment is None or self.initial is None:
             return True
         unknown_s = (increment.start_ns - self.initial.state.stamp_ns) / NS_PER_S
         self._start_unreachable += unknown_s > MAX_UNCOVERED_S
@@ -333,115 +249,23 @@ class SlamStage:
         return MapInitializer(rig, self._config, self._map or SavedMap(self._origin(0)))
 
     def _process(self, rig: StereoRig, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
-        if self._backend is None:
+        if self._flight is None:
             assert self.initial is not None
-            self._backend = SlamBackend(
-                self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
-            )
-        backend = self._backend
-        increment = self._motion(backend, features.stamp_ns, increment)
-        features, of_shutter = self._exposed_at_once(rig, backend, features, increment)
-        self._clock = self._clock or ClockOffsetMonitor(backend)
-        report = backend.process(features, increment)
-        backend, report, of_clock = self._clock.check(backend, features, increment, report, self._config)
-        if backend is not self._backend:  # earlier ones are linearised about another offset
-            self._bias_steps = BiasStepMonitor()
-        if not backend.imu_fault:
-            backend, report = self._bias_steps.check(backend, features, increment, report, self._config)
-        self._backend = backend
-        self._was_motion_unknown |= backend.imu_fault != ""
-        dead_reckoned, of_start = self._dead_reckoning.estimate, ""
-        assert dead_reckoned is not None  # started with the back end
-        if not report.recovery and not self._was_motion_unknown:  # what follows contradicts a correct start
-            report, of_start = self._start_watch.check(backend, report, features, dead_reckoned)
-        report, joint = self._with_joint(backend, report, features)
-        if report.recovery:
-            self._start_watch.stop(report.pose.stamp_ns)
-            self._bias_steps, self._clock = BiasStepMonitor(), ClockOffsetMonitor(backend)
-        of_map = self._archive_landmarks(report, joint)
-        noisy = self._noise_warnings(backend.track_sigma_px, increment)
-        warnings = (self._start_warning, *noisy, of_clock, of_shutter, of_start, of_map, self._warning(report))
-        self._start_warning = ""
-        return FrameOutput(report, dead_reckoned, joint, increment, tuple(text for text in warnings if text))
+            self._flight = self._new_flight(self.initial, rig)
+        output = self._flight.process(features, increment)
+        if self._start_warning:
+            output = dataclasses.replace(output, warnings=(self._start_warning, *output.warnings))
+            self._start_warning = ""
+        return output
 
-    def _motion(self, backend: SlamBackend, stamp_ns: int, increment: ImuIncrement | None) -> ImuIncrement | None:
-        """Return the motion from the estimate to a frame, unknown as far as no increment has it; None for none."""
-        if increment is None and stamp_ns != backend.stamp_ns:
-            self._motion_lost += 1
-            increment = unknown_motion_since(backend.nav.state, stamp_ns, self._config.imu)
-        if increment is None:
-            return None
-        # before the filter, which may fail: the baseline must not miss a step
-        self._dead_reckoning.add(increment)
-        self._start_watch.add_motion(increment)
-        self._motion_lost += increment.start_ns != backend.stamp_ns
-        increment = bridged(increment, backend.stamp_ns, self._config.imu)
-        self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
-        if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
-            self._start_watch.stop(increment.start_ns)
-            self._bias_steps = BiasStepMonitor()
-        return increment
-
-    def _with_joint(
-        self, backend: SlamBackend, report: FrameReport, features: StereoFeatures
-    ) -> tuple[FrameReport, JointInformation | None]:
-        """Return a frame's report, and at epochs and a session's first frame the joint information.
-
-        Where the filter has lost its positive definiteness, it is re-initialised, and the report says so.
-        """
-        at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
-        self._previous_ns = features.stamp_ns
-        if self._is_announced and not at_epoch:
-            return report, None
-        try:
-            joint = self._joint_information(backend)
-        except FilterDivergence as error:
-            report = backend.recovered(report, features, str(error))
-            joint = self._joint_information(backend)
-        self._is_announced = True
-        return report, joint
-
-    def _joint_information(self, backend: SlamBackend) -> JointInformation:
-        joint, start_map = backend.joint_information(), self._start_map
-        if start_map is None:
-            return joint
-        return dataclasses.replace(joint, prior_id=start_map.hash, other_sources=start_map.origin.sources)
-
-    def _archive_landmarks(self, report: FrameReport, joint: JointInformation | None) -> str:
-        """Collect landmarks for the map; return why they are left out, empty if they are not."""
-        if self._archive is None:
-            return ""
-        for sightings in (report.late_sightings, report.sightings):
-            self._archive.count(sightings)
-        try:
-            if joint is not None:
-                self._archive.add(joint)
-        except FilterDivergence as error:
-            return f"landmarks are missing in the map of this flight: {error}"
-        return ""
-
-    def _noise_warnings(self, track_sigma_px: float, increment: ImuIncrement | None) -> list[str]:
-        configured_px = self._config.backend.track_sigma_px
-        found = [self._noise_monitor.add_tracks(track_sigma_px, configured_px=configured_px)]
-        return found if increment is None else [*found, self._noise_monitor.add(increment)]
-
-    def _exposed_at_once(
-        self, rig: StereoRig, backend: SlamBackend, features: StereoFeatures, increment: ImuIncrement | None
-    ) -> tuple[StereoFeatures, str]:
-        """Return what a global shutter would show of a frame, and a warning if that needs another readout."""
-        before, readout_s = backend.nav.state, self._config.rig.readout_s
-        if readout_s == 0.0 and not self._shutter.watching:
-            return features, ""
-        now = before if increment is None else propagate(before, increment, gravity=self._config.imu.gravity)
-        at_once = exposed_at_once(features, now, increment, rig=rig, readout_s=readout_s)
-        if increment is None or lacks_readings(increment) or backend.imu_fault:
-            self._shutter.begin(features)
-            return at_once, ""
-        return at_once, self._shutter.add(features, before, now, increment, rig)
-
-    def _warning(self, report: FrameReport) -> str:
-        if report.recovery:
-            return f"the filter was re-initialised: {report.recovery}"
-        if self._was_motion_unknown or not self._start_watch.trusts(report.pose.stamp_ns):
-            return ""  # an unknown motion, or a wrong start, contradicts a correct rig
-        return self._rig_monitor.add(report)
+    def _new_flight(self, initial: NavEstimate, rig: StereoRig) -> SlamFlight:
+        return SlamFlight(
+            initial,
+            rig=rig,
+            config=self._config,
+            vehicle=self._vehicle,
+            session=self._session,
+            archive=MapArchive(self._origin(self._session)) if self._keep_map else None,
+            start_map=self._start_map,
+            announced=self._is_announced,
+        )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.slam.stage import FrameOutput
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.types import ImuIncrement, NavEstimate, NavState, StereoFeatures
 
 

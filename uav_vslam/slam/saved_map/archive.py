@@ -33,7 +33,7 @@ class MapArchive:
 
     def __init__(self, origin: MapOrigin) -> None:
         """Start empty; the origin's stamp follows the beliefs."""
-        self._origin = origin
+        self.origin = origin
         self._memory = LandmarkMemory(SECTION_LANDMARKS)
         self._observations: Counter[int] = Counter()
         self._stored: set[int] = set()
@@ -73,7 +73,7 @@ class MapArchive:
         places = (
             dataclasses.replace(place, observations=self._counted(place.ids)) for place in [*self._parts, *self._rest()]
         )
-        return Mapped(dataclasses.replace(self._origin, stamp_ns=stamp_ns), tuple(places))
+        return Mapped(dataclasses.replace(self.origin, stamp_ns=stamp_ns), tuple(places))
 
     def _counted(self, ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
         return np.array([self._observations[i] for i in ids.tolist()], np.uint32)
