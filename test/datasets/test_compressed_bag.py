@@ -77,3 +77,19 @@ def test_a_damaged_compressed_file_is_named(tiny_bag: Path, tmp_path: Path) -> N
     file.write_bytes(b"no zstd" + file.read_bytes())
     with pytest.raises(BagError, match=r"mcap\.zstd can't be unpacked"):
         topics_of([file])
+
+
+def test_a_damaged_copy_is_named_as_the_bag_that_was_given(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = compressed(tiny_bag, tmp_path / "bag")
+    (file,) = bag.glob("*.zstd")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(BagError, match=rf"^bag {bag} is damaged: read up to the damage"):
+        list(iter_raw([bag]))
+
+
+@pytest.mark.parametrize("text", ["", "a: [1", "other: 1", "rosbag2_bagfile_information: 1"])
+def test_damaged_metadata_are_named_with_what_to_do(tiny_bag: Path, tmp_path: Path, text: str) -> None:
+    bag = compressed(tiny_bag, tmp_path / "bag")
+    (bag / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError, match=r"bag/metadata\.yaml is damaged .*correct it, or remove it"):
+        topics_of([bag])

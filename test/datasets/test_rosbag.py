@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags are read in stamp order, up to the damage if they are damaged, and what is no bag is refused."""
 
+import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import RawMessage
@@ -29,6 +31,43 @@ def test_several_bags_are_merged_by_stamp(tiny_bag: Path, tmp_path: Path) -> Non
     assert [raw.stamp_ns for raw in merged] == sorted(raw.stamp_ns for raw in merged)
     assert len(merged) == sum(1 for raw in iter_raw([tiny_bag]) if raw.topic.startswith("/uav"))
     assert topics_of(list(parts.values())).keys() == topics_of([tiny_bag]).keys() - {"/tf_static"}
+
+
+def test_metadata_with_another_qos_than_the_files_lose_no_message(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = shutil.copytree(tiny_bag, tmp_path / "bag")
+    for half, name in enumerate(("first", "second")):  # a split recording, joined by hand
+        with RawRecorder(tmp_path / name) as recorder:
+            for number, raw in enumerate(iter_raw([tiny_bag])):
+                if (number > 100) == half:
+                    recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)  # none latched
+        (tmp_path / name / f"{name}.mcap").rename(bag / f"{name}.mcap")
+    tree = yaml.safe_load((bag / "metadata.yaml").read_text())
+    information = tree["rosbag2_bagfile_information"]
+    information["relative_file_paths"] = ["first.mcap", "second.mcap"]
+    for topic in information["topics_with_message_count"]:
+        topic["topic_metadata"]["offered_qos_profiles"][0]["reliability"] = "best_effort"
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(tree))
+    (bag / "tiny.mcap").unlink()
+    assert list(iter_raw([bag])) == list(iter_raw([tiny_bag]))
+    counts = {topic: info.count for topic, info in topics_of([tiny_bag]).items()}
+    assert {topic: info.count for topic, info in topics_of([bag]).items()} == counts
+
+
+def test_a_missing_file_of_a_split_recording_is_named_with_what_reads_the_others(
+    tiny_bag: Path, tmp_path: Path
+) -> None:
+    bag = shutil.copytree(tiny_bag, tmp_path / "bag")
+    text = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(text.replace("- tiny.mcap", "- tiny.mcap\n  - tiny_1.mcap"))
+    with pytest.raises(BagError, match=r"missing: .*tiny_1\.mcap.*metadata\.yaml or remove it"):
+        topics_of([bag])
+    (bag / "metadata.yaml").unlink()
+    assert topics_of([bag]) == topics_of([tiny_bag])
+
+
+def test_a_folder_of_bags_is_refused_with_their_names(tiny_bag: Path) -> None:
+    with pytest.raises(BagError, match=rf"given together: .*{tiny_bag}"):
+        topics_of([tiny_bag.parent])
 
 
 def read_to_the_damage(path: Path) -> tuple[list[RawMessage], str]:

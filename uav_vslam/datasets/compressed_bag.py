@@ -17,12 +17,13 @@ from pathlib import Path
 import yaml
 import zstandard
 
-from uav_vslam.errors import BagError
+from uav_vslam.errors import BagError, one_line
 
 SUFFIX = ".zstd"
 METADATA = "metadata.yaml"
 INFORMATION = "rosbag2_bagfile_information"
 FOLDER = "UAV_VSLAM_UNPACKED"  # environment variable with the folder, for child processes
+_given: dict[Path, Path] = {}  # what each folder's files were unpacked from
 
 
 def compressed_files(path: Path) -> list[Path]:
@@ -40,7 +41,7 @@ def unpacked(path: Path) -> Path:
         path: bag folder or storage file, of which `compressed_files` finds some.
 
     Raises:
-        BagError: a file is damaged, or there is no room.
+        BagError: a file or the metadata is damaged, or there is no room.
     """
     folder = _folder() / hashlib.sha256(bytes(path.resolve())).hexdigest()[:16]
     if not folder.exists():
@@ -52,7 +53,13 @@ def unpacked(path: Path) -> Path:
             _link_the_rest(path, scratch, packed)
         with suppress(OSError):  # another process was first
             scratch.rename(folder)
+    _given[folder] = path
     return folder if path.is_dir() else folder / path.stem
+
+
+def given_as(path: Path) -> Path:
+    """Return the compressed bag of which a bag or file is the copy; others as they are."""
+    return _given.get(path) or _given.get(path.parent) or path
 
 
 def _folder() -> Path:
@@ -77,8 +84,17 @@ def _link_the_rest(path: Path, folder: Path, packed: Sequence[Path]) -> None:
         if other not in packed and other.name != METADATA:
             (folder / other.name).symlink_to(other.resolve())
     if (path / METADATA).exists():
-        tree = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))
+        (folder / METADATA).write_text(_without_compression(path / METADATA), encoding="utf-8")
+
+
+def _without_compression(metadata: Path) -> str:
+    try:
+        tree = yaml.safe_load(metadata.read_text(encoding="utf-8"))
         information = tree[INFORMATION]
         information |= {"compression_format": "", "compression_mode": ""}
         information["relative_file_paths"] = [name.removesuffix(SUFFIX) for name in information["relative_file_paths"]]
-        (folder / METADATA).write_text(yaml.safe_dump(tree), encoding="utf-8")
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError, UnicodeDecodeError) as error:
+        raise BagError(
+            f"{metadata} is damaged ({one_line(error)}); correct it, or remove it: the files are then read without it"
+        ) from None
+    return yaml.safe_dump(tree)

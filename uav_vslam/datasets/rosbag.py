@@ -10,12 +10,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosbags.interfaces import QosDurability
+from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.reader import DirectoryReader
 
 from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.cdr import RawMessage, encode, typestore
-from uav_vslam.datasets.compressed_bag import compressed_files, unpacked
+from uav_vslam.datasets.compressed_bag import compressed_files, given_as, unpacked
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError, one_line
 
@@ -87,6 +88,8 @@ def _hint(path: Path) -> str:
         return "; import it: uav-vslam import --help"
     if path.is_dir() and any(file.suffix.lower() in PICTURES for file in path.iterdir()):
         return f"; it holds pictures, which are joined by: uav-vslam mosaic {path}"
+    if path.is_dir() and (bags := sorted(file.parent for end in STORAGE_FILES for file in path.glob(f"*/*{end}"))):
+        return f"; those of one flight are given together: {' '.join(map(str, dict.fromkeys(bags)))}"
     return ""
 
 
@@ -126,7 +129,7 @@ def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
     with ExitStack() as stack:
         reader = _open(file, stack)
         topics: dict[str, TopicInfo] = {}
-        for connection in reader.connections:
+        for connection in _connections(reader):
             profiles = getattr(connection.ext, "offered_qos_profiles", [])
             latched = any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in profiles)
             count = connection.msgcount + (topics[connection.topic].count if connection.topic in topics else 0)
@@ -153,17 +156,26 @@ def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
     remedy = "record it again or use the readable part"
     if last_ns is None and file.suffix == ros1_bag.SUFFIX:  # the index is at the end of such a file
         remedy = "restore its index by `rosbag reindex` of ROS 1, or record it again"
-    return BagError(f"bag {file} is damaged: {reached} ({one_line(error)}); {remedy}")
+    if last_ns is None and file.is_dir():
+        remedy = "record it again, or correct its metadata.yaml or remove it: the files that are there are then read"
+    return BagError(f"bag {given_as(file)} is damaged: {reached} ({one_line(error)}); {remedy}")
 
 
 def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
     with ExitStack() as stack:
         reader = _open(file, stack)
-        wanted = [c for c in reader.connections if topics is None or c.topic in topics]
+        wanted = [c for c in _connections(reader) if topics is None or c.topic in topics]
         if wanted:  # an empty list would mean all
             for connection, stamp_ns, data in reader.messages(wanted):
                 recorded = connection.msgdef.data
                 yield RawMessage(connection.topic, connection.msgtype, stamp_ns, bytes(data), recorded)
+
+
+def _connections(reader: Reader) -> list[Connection]:
+    """Return the connections that the storage files hold: of those in metadata.yaml, others' QoS gives no message."""
+    folder = reader.storage
+    storages = folder.storages if isinstance(folder, DirectoryReader) else [folder]
+    return [connection for storage in storages for connection in storage.connections]
 
 
 def _messages_of_ros1_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
