@@ -92,7 +92,10 @@ def nowhere(pose: Any) -> Any:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (nowhere, "poses of the ground truth are not finite, or have no orientation, and are left out; none remains"),
+        (
+            nowhere,
+            "poses of the ground truth are not finite, unreadable or lack a rotation, and are left out; none remains",
+        ),
         (
             lambda pose: shifted(pose, -NS_PER_S * 60),
             "ground truth is from -60.00 to -59.58 s after the first frame",

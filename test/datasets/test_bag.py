@@ -264,6 +264,22 @@ def test_truth_of_another_type_is_told_and_not_read(tiny_bag: Path, tmp_path: Pa
     assert any("sensor_msgs/msg/Imu and is not read" in text for text in flight.warnings)
 
 
+def test_static_frames_of_another_type_or_not_finite_are_refused(tiny_bag: Path, tmp_path: Path) -> None:
+    def far(built: Any, _: int) -> None:
+        built.transforms[0].transform.translation.x = np.inf
+
+    with pytest.raises(CalibrationError, match="left_optical: the transform holds NaN or infinity"):
+        open_flight(rewrite(tiny_bag, tmp_path / "far", edited("/tf_static", far)), "uav1")
+    reading = next(iter_raw([tiny_bag], ["/uav1/imu/data_raw"]))
+
+    def replaced(raw: RawMessage) -> RawMessage:
+        same = raw.topic == "/tf_static"
+        return dataclasses.replace(reading, topic=raw.topic, stamp_ns=raw.stamp_ns) if same else raw
+
+    with pytest.raises(CalibrationError, match="/tf_static holds sensor_msgs/msg/Imu; record tf2_msgs/msg/TFMessage"):
+        open_flight(rewrite(tiny_bag, tmp_path / "other", replaced), "uav1")
+
+
 def test_transforms_that_change_are_all_read_and_told(tiny_bag: Path, tmp_path: Path) -> None:
     (edges,) = (transforms_of(decode(raw)) for raw in iter_raw([tiny_bag]) if raw.topic == "/tf_static")
     longer = [(parent, child, Pose(T.R, 1.3 * T.t)) for parent, child, T in edges]
@@ -370,6 +386,25 @@ def test_an_undecodable_image_becomes_an_empty_one(tiny_bag: Path, tmp_path: Pat
     assert [pair.right.size > 0 for pair in pairs] == [raw != images[2] for raw in images]
     track = track_vehicle(flight, VehicleConfig())
     assert (track.frames_in, track.dropped) == (len(images), {"image": 1})
+
+
+def test_messages_that_cannot_be_read_cost_only_themselves_and_are_counted(tiny_bag: Path, tmp_path: Path) -> None:
+    spoilt = list(iter_raw([tiny_bag], ["/uav1/imu/data_raw"]))[3:5] + list(iter_raw([tiny_bag], [TRUTH]))[2:3]
+
+    def change(raw: RawMessage) -> RawMessage:
+        return dataclasses.replace(raw, data=raw.data[:40]) if raw in spoilt else raw
+
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
+    events: list[ImuSample | StereoFrame] = []
+    with pytest.raises(BagError, match="2 messages can't be read and were left out, the first: /uav1/imu/data_raw at"):
+        events.extend(flight.iter_events())
+    left_out = {raw.stamp_ns for raw in spoilt[:2]}
+    whole = open_flight(tiny_bag, "uav1").iter_events()
+    expected = [e.stamp_ns for e in whole if isinstance(e, StereoFrame) or e.stamp_ns not in left_out]
+    assert [e.stamp_ns for e in events] == expected
+    truth = flight.truth()
+    assert truth is not None
+    assert truth.left_out == 1
 
 
 def test_a_truncated_bag_opens_and_replays_up_to_the_damage(tiny_bag: Path, tmp_path: Path) -> None:

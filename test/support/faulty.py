@@ -204,6 +204,10 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
         lambda: [later(RIGHT, 30_000_000)],
         [("error", "stereo stamps", ("median 30 ms", "input.pair_tolerance_s: 0.036"))],
     ),
+    "extrinsics that can't be read": (
+        lambda: [lambda raw: dataclasses.replace(raw, data=raw.data[:20]) if raw.topic == "/tf_static" else raw],
+        [("error", "frames", ("/tf_static", "not a valid tf2_msgs/msg/TFMessage"))],
+    ),
     "stereo stamps 3 ms apart": (
         lambda: [later(RIGHT, 3_000_000)],
         [("warning", "stereo stamps", ("median 3 ms", "synchronise"))],

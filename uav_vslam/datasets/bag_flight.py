@@ -74,24 +74,20 @@ class BagFlight:
         """Yield IMU samples, moved to the body, and image pairs in stamp order; at equal stamps the sample comes first.
 
         Raises:
-            BagError: the recording is damaged (raised after all readable events), or a message can't be decoded. An
-                undecodable image becomes an empty one: its frame has no points.
+            BagError: the recording is damaged or messages can't be decoded (raised after all readable events). An
+                image of an unknown encoding becomes an empty one: its frame has no points.
         """
         return in_stamp_order(self._recorded_events())
 
     def truth(self) -> TruthTrack | None:
-        """Return the true motion without poses that are not finite, maybe without any; None if none was recorded.
-
-        Raises:
-            BagError: a message can't be decoded.
-        """
+        """Return the true motion, maybe without any pose that can be used; None if none was recorded."""
         samples, left_out = [], 0
         for raw in iter_readable(self.paths, [self.input.topic(self.vehicle, "truth")]):
             if raw.msgtype not in TRUTH_TYPES:
                 return None
             try:
                 samples.append(truth_of(decode(raw)))
-            except InvalidMessage:
+            except (BagError, InvalidMessage):
                 left_out += 1
         return dataclasses.replace(truth_track(samples), left_out=left_out) if samples or left_out else None
 
@@ -136,9 +132,11 @@ class BagFlight:
         for raw in self._images(self.left_topic):
             stamp_ns = header_stamp_ns(raw.data) + self.time_offset_ns
             if stamp_ns in stamps_ns:
-                pixels = _pixels_or_empty(decode(raw))
-                if pixels.size:
-                    yield stamp_ns, pixels
+                try:
+                    pixels = image_of(decode(raw))
+                except BagError:
+                    continue
+                yield stamp_ns, pixels
 
     def _images(self, topic: str) -> Iterator[RawMessage]:
         return iter_readable(self.paths, [topic])
@@ -147,8 +145,13 @@ class BagFlight:
         imu_topic = self.input.topic(self.vehicle, "imu")
         mounting = ImuMounting(self.T_body_imu)
         pairer: StereoPairer[Any] = StereoPairer(tolerance_ns=round(self.input.pair_tolerance_s * NS_PER_S))
+        refused: list[BagError] = []
         for raw in iter_raw(self.paths, [imu_topic, self.left_topic, self.right_topic]):
-            built = decode(raw)
+            try:
+                built = decode(raw)
+            except BagError as error:
+                refused.append(error)
+                continue
             if raw.topic == imu_topic:
                 yield mounting.to_body(imu_of(built))
                 continue
@@ -157,6 +160,11 @@ class BagFlight:
             if pair is not None:
                 stamp_ns = pair.stamp_ns + self.time_offset_ns
                 yield StereoFrame(stamp_ns, _pixels_or_empty(pair.left), _pixels_or_empty(pair.right))
+        if refused:
+            raise BagError(
+                f"bag {names_of(self.paths)}: {len(refused)} messages can't be read and were left out, the first: "
+                f"{refused[0]}; correct what writes them"
+            )
 
     def check_images(self) -> None:
         """Decode the first readable image of each side, to fail early where `iter_events` would fail.

@@ -286,13 +286,18 @@ def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
     """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage.
 
     Raises:
-        CalibrationError: a rotation is no quaternion.
+        CalibrationError: it is another message, or a transform has no valid rotation or is not finite.
     """
+    if not hasattr(built, "transforms"):
+        raise CalibrationError(f"/tf_static holds {built.__msgtype__}; record tf2_msgs/msg/TFMessage")
     edges = []
     for stamped in built.transforms:
         parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
         try:
-            edges.append((parent, child, _pose_of_transform(stamped.transform)))
+            pose = _pose_of_transform(stamped.transform)
+            if not np.isfinite(pose.matrix).all():
+                raise ValueError("the transform holds NaN or infinity")
+            edges.append((parent, child, pose))
         except ValueError as error:
             raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish a corrected transform") from None
     return edges

@@ -186,7 +186,7 @@ class _Reader:
         if raw.topic == TF_STATIC:
             try:
                 self.found.setup.frames.add(transforms_of(decode(raw)))
-            except CalibrationError as error:
+            except (BagError, CalibrationError) as error:
                 self.found.problems.append(str(error))
             return
         if raw.topic == TF:

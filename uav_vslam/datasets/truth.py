@@ -35,7 +35,7 @@ def unread_text(topic: str, msgtype: str) -> str:
 def left_out_text(left_out: int, remaining: int) -> str:
     """Return that poses of ground truth are left out, by their number and that of the others."""
     none = "" if remaining else "; none remains, so nothing is compared with it"
-    return f"{left_out} poses of the ground truth are not finite, or have no orientation, and are left out" + none
+    return f"{left_out} poses of the ground truth are not finite, unreadable or lack a rotation, and are left out{none}"
 
 
 def truth_warnings(truth: TruthTrack) -> Iterator[str]:

@@ -10,7 +10,7 @@ UNUSABLE_SHARE = 0.5  # if more of a stream is useless, so is the stream
 STUCK_SHARE = 0.9  # the same of stamps that repeat the one before: half do if each message was recorded twice
 MIN_IMU_RATE_HZ = 50.0  # small aircraft turn to and fro at up to 10 Hz; the midpoint rule needs five readings a period
 OWN_CLOCK_S = 1.0  # drivers and recorders delay messages by less, so a larger difference is another clock
-UNPAIRED_SHARE = 0.02  # of the left images: a few at both ends have no partner
+UNPAIRED_SHARE = 0.02  # of the images of the camera that has more: a few at both ends have no partner
 
 # IMU
 GRAVITY_SHARE = 0.8, 1.25  # median specific force over gravity: a bank of 37 degrees is 1.25

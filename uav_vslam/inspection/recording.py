@@ -162,7 +162,9 @@ def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
     """Judge calibration and images; return the rig if there is one."""
     for text in dict.fromkeys(survey.problems):
         if text.startswith(TF_STATIC):
-            found.findings.append(error("frames", text, "unit quaternions", "publish a corrected transform"))
+            found.findings.append(
+                error("frames", text, "unit quaternions, finite places", "publish a corrected transform")
+            )
         else:
             found.findings.append(
                 error("calibration files", text, "files of Kalibr, ROS or EuRoC", "correct or replace the file")

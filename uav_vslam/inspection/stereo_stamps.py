@@ -69,11 +69,11 @@ def check_pairs(left_ns: Stamps, right_ns: Stamps, pair_count: int, *, tolerance
     tolerance_ms = tolerance.ns / 1e6
     seen = (
         f"right minus left stamp: median {1e3 * shape.median_s:.3g} ms, spread {1e3 * shape.spread_s:.2g} ms; "
-        f"{pair_count} of {len(left_ns)} left images find a partner"
+        f"{pair_count} of {len(left_ns)} left and of {len(right_ns)} right images find a partner"
     )
     allowed = f"{tolerance_ms:.3g} ms (input.pair_tolerance_s)"
-    unpaired = len(left_ns) - pair_count
-    if unpaired > max(1.0, limits.UNPAIRED_SHARE * len(left_ns)):
+    most = max(len(left_ns), len(right_ns))
+    if most - pair_count > max(1.0, limits.UNPAIRED_SHARE * most):
         judge = error if pair_count < limits.UNUSABLE_SHARE * len(left_ns) else warning
         return [judge("stereo stamps", seen, allowed, _remedy(shape, tolerance_ms))]
     if abs(shape.median_s) * NS_PER_S > NOTABLE_OFFSET_NS:

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images of either camera without a partner are named."""
+
+import numpy as np
+import pytest
+
+from uav_vslam.inspection.stereo_stamps import check_pairs
+
+EVEN_NS = np.arange(100, dtype=np.int64) * 140_000_000
+
+
+@pytest.mark.parametrize(("left", "right"), [(20, 100), (100, 20)])
+def test_a_camera_that_ends_early_is_named_whichever_it_is(left: int, right: int) -> None:
+    (finding,) = check_pairs(EVEN_NS[:left], EVEN_NS[:right], 20, tolerance_s=0.0)
+    assert finding.severity.value == ("warning" if left < right else "error")
+    assert f"20 of {left} left and of {right} right images find a partner" in finding.seen
+
+
+def test_a_few_images_at_the_ends_need_no_partner() -> None:
+    (finding,) = check_pairs(EVEN_NS[1:], EVEN_NS[:-1], 98, tolerance_s=0.0)
+    assert finding.severity.value == "ok"
