@@ -52,5 +52,8 @@ def test_damaged_tables_are_named(tmp_path: Path) -> None:
     path.write_text("a,b\n1,2\n3\n")
     with pytest.raises(TrajectoryFileError, match=r"link\.csv:3: 1 cells, but the title has 2"):
         read_columns(path)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(TrajectoryFileError, match=r"link\.csv is no table .*restore or remove"):
+        read_columns(path)
     with pytest.raises(TrajectoryFileError, match="could not convert"):
         numbers(["1", "x"], path)

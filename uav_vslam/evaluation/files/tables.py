@@ -16,10 +16,13 @@ def read_columns(path: Path) -> dict[str, list[str]]:
     """Return the cells of each column by its title, all of equal length.
 
     Raises:
-        TrajectoryFileError: the file is empty, or a row has another number of cells than the title.
+        TrajectoryFileError: the file is empty or no text, or a row has another number of cells than the title.
     """
     with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.reader(file))
+        try:
+            rows = list(csv.reader(file))
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise TrajectoryFileError(f"{path} is no table ({error}); restore or remove the file") from None
     if not rows:
         raise TrajectoryFileError(f"{path} is empty; was the run interrupted?")
     for number, row in enumerate(rows, 1):
