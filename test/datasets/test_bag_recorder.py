@@ -71,3 +71,20 @@ def test_an_unknown_type_or_a_second_type_is_refused(tmp_path: Path) -> None:
             recorder.write("/b", "odd_msgs/msg/Odd", b"", 2)
         with pytest.raises(BagError, match="can't also hold"):
             recorder.write("/a", "std_msgs/msg/Header", b"", 3)
+
+
+@pytest.mark.parametrize("name", ["a#b", "a?b", "a%20b"])
+def test_a_name_that_sqlite_would_change_is_refused(name: str, tiny_bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"SQLite takes .* for no part of a name; choose a path without, or use mcap"):
+        RawRecorder(tmp_path / name, storage="sqlite3")
+    assert list(tmp_path.iterdir()) == []
+    for storage in ("sqlite3", "mcap"):
+        with RawRecorder(tmp_path / f"100 %{storage}", storage=storage) as recorder:
+            for raw in iter_raw([tiny_bag], ["/tf_static"]):
+                recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)
+        moved = (tmp_path / f"100 %{storage}").rename(tmp_path / f"{storage}{name}")
+        if storage == "sqlite3":
+            with pytest.raises(BagError, match="SQLite takes"):
+                topics_of([moved])
+        else:
+            assert list(topics_of([moved])) == ["/tf_static"]

@@ -25,6 +25,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from uav_vslam.datasets.cdr import definition, require_type
 from uav_vslam.datasets.retrying_file import RetryingFile
+from uav_vslam.datasets.rosbag import require_sqlite_path
 from uav_vslam.datasets.truncated_mcap import readable_messages
 from uav_vslam.errors import BagError
 
@@ -51,12 +52,14 @@ class RawRecorder:
             retrying: go on when the disk is full: messages are refused until there is room again; mcap only.
 
         Raises:
-            BagError: the folder exists or can't be made.
+            BagError: the folder exists or can't be made, or its name is none for this storage.
         """
         if storage not in STORAGE or (zstd and storage != "mcap"):
             raise BagError(
                 f"bag storage {storage!r} can't be used; use mcap (compressed or not) or sqlite3 (uncompressed)"
             )
+        if storage == "sqlite3":
+            require_sqlite_path(path)
         self.path = path
         self._connections: dict[str, Connection] = {}
         self._taken = self.lost = 0

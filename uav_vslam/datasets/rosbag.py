@@ -5,6 +5,7 @@ A damaged recording (its writer was killed, or the file is truncated) is read up
 """
 
 import heapq
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from uav_vslam.errors import BagError, one_line
 
 STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+URI = re.compile(r"[#?]|%[0-9a-fA-F]{2}")  # what SQLite, which rosbags gives a URI, takes for more than a name
 DATA_SETS = ("mav0", "cam0", "image_0")  # folders inside of EuRoC's and KITTI's
 
 
@@ -77,6 +79,16 @@ def iter_readable(paths: Sequence[Path], topics: Sequence[str]) -> Iterator[RawM
         return
 
 
+def require_sqlite_path(path: Path) -> None:
+    """Refuse the path of a sqlite3 bag that SQLite would read as another one.
+
+    Raises:
+        BagError: it would.
+    """
+    if found := URI.search(str(path)):
+        raise BagError(f"{path}: SQLite takes {found[0]} for no part of a name; choose a path without, or use mcap")
+
+
 def names_of(paths: Sequence[Path]) -> str:
     """Return the bags' paths as an error names them."""
     return ", ".join(map(str, paths))
@@ -112,6 +124,9 @@ def _files(paths: Sequence[Path]) -> list[Path]:
             raise BagError(
                 f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file{_hint(path)}"
             )
+        for file in files_inside:
+            if file.suffix == ".db3":
+                require_sqlite_path(file)
         for real in map(Path.resolve, files_inside):
             if real in owners:
                 raise BagError(f"bag {given} holds what {owners[real]} holds, {real.name}: give each recording once")
