@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the tests share: recordings outside the repository, repeatable property tests, made-up beliefs, a node graph."""
 
-import functools
 import os
 import signal
 import subprocess
@@ -11,14 +10,11 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import ArrayLike, NDArray
-from rosbags.rosbag2 import reader, storage_mcap
-from ruamel.yaml import YAML
 
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import JointInformation
@@ -72,16 +68,6 @@ def _own_state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     """Keep the numbers of the tests' sessions out of the user's home, for the processes that they start too."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _metadata_parsed_once() -> Iterator[None]:
-    """Parse each text of a bag's metadata once: bags are opened thousands of times, most of which is YAML."""
-    load = functools.cache(YAML(typ="safe").load)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reader, "YAML", lambda typ: SimpleNamespace(load=load))
-        patch.setattr(storage_mcap, "parse_qos", functools.cache(storage_mcap.parse_qos))
         yield
 
 

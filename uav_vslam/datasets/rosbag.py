@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosbags.interfaces import Connection, QosDurability
-from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 
 from uav_vslam.datasets import ros1_bag
+from uav_vslam.datasets.bag_reader import Reader
 from uav_vslam.datasets.cdr import RawMessage, encode, typestore
 from uav_vslam.datasets.compressed_bag import compressed_files, given_as, unpacked
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
