@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from uav_vslam.ros.answers import IMU_AHEAD, Answers, Readings
-from uav_vslam.ros.pacing import EARLY_PERIOD_S, LockStep, RealTime
+from uav_vslam.ros.pacing import EARLY_PERIOD_S, LockStep, RealTime, step_s
 from uav_vslam.ros.recorded import Kind, Recorded
 
 MS = 1_000_000
@@ -314,3 +314,10 @@ def stepping(order: Iterator[Recorded | None], now: list[float]) -> Iterator[Rec
             now[0] += 0.001
         else:
             yield released
+
+
+@pytest.mark.parametrize(
+    ("rate", "period_s"), [(0.0, 0.005), (4.0, 0.005), (1.0, 0.005), (0.5, 0.01), (0.1, 0.05), (0.01, 0.05)]
+)
+def test_a_slow_replay_looks_less_often(rate: float, period_s: float) -> None:
+    assert step_s(rate) == pytest.approx(period_s)

@@ -22,6 +22,7 @@ from uav_vslam.ros.recorded import FRAME_PARTS, Kind, Recorded
 from uav_vslam.stamps import TimeLine
 from uav_vslam.types import NS_PER_S
 
+STEP_S, LONGEST_STEP_S = 0.005, 0.05  # period of looks at what is due
 OVERLAP_NS = NS_PER_S // 10
 EARLY_PERIOD_S = 0.15  # about as recorded
 STEP_AHEAD_NS, STEP_BACK_NS = 10 * NS_PER_S, 2 * NS_PER_S  # real time: farther from one message to the next is a jump
@@ -147,6 +148,14 @@ class RealTime:
             if message.kind in FRAME_PARTS:
                 self._answers.published(message)
             yield message
+
+
+def step_s(rate: float) -> float:
+    """Return the period at which a replay asks for what is due [s]: 5 ms, and slower than real time, of the recording.
+
+    Most of 200 looks a second find nothing at a tenth of real time, and cost a tenth of a core.
+    """
+    return min(STEP_S / rate, LONGEST_STEP_S) if 0.0 < rate < 1.0 else STEP_S
 
 
 def _take_one(source: Iterator[Recorded]) -> list[Recorded]:

@@ -36,7 +36,7 @@ from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.answers import EARLY_ANSWER, IMU_AHEAD, Answers, Readings
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.convert import stamp_from_ns
-from uav_vslam.ros.pacing import LockStep, Pacer, RealTime
+from uav_vslam.ros.pacing import LockStep, Pacer, RealTime, step_s
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import IMAGE, LATCHED, RESUMABLE, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
@@ -48,7 +48,6 @@ from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 
 INS_ANSWER = "ins/odometry"
 QOS = {Kind.LEFT: IMAGE, Kind.RIGHT: IMAGE, Kind.IMU: SENSOR}
-STEP_S = 0.005
 LOOK_S = 0.05  # period of looks at the graph: the nodes that it waits for need the processor to start
 ANSWERS_S = 0.1  # real time: period of taking the answers, which nothing waits for
 BURST = 50  # messages published before callbacks run again
@@ -86,7 +85,7 @@ class ReplayNode(Node):
             self._subscribe_to(vehicle)
         self._readiness = Readiness(self, self._vehicles)
         self._steps = self._replay()
-        create_wall_timer(self, STEP_S, self._step)
+        create_wall_timer(self, step_s(self._config.rate), self._step)
         if not self._lockstep:
             create_wall_timer(self, ANSWERS_S, self._take_answers)
 
