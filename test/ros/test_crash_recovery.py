@@ -36,8 +36,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "bags" / "sample"
 LONGEST_GAP_S = 0.6  # between two poses, where a node is back as soon as on an idle machine
-BEGIN_S = 6.2  # of the sample that is flown, six epochs: what follows would show nothing else
-FRAMES = 28  # of the lock-step flight: three epochs
+BEGIN_S = 5.0  # of the sample that is flown, five epochs: what follows would show nothing else
+FRAMES = 20  # of the lock-step flight: two epochs
 Launched = Callable[..., AbstractContextManager[Any]]
 Tracks = dict[str, tuple[VehicleTrack, CooperativeTrack]]
 
@@ -102,7 +102,7 @@ def test_a_back_end_killed_in_lock_step_catches_up_to_the_same_estimates(
     """The own ones to the digit; landmarks since the checkpoint have new identifiers, so fusion may differ a little."""
     frames_ns = stamps_ns(undisturbed)
     end_ns = frames_ns[FRAMES]
-    bag = before(end_ns, begin, tmp_path / "three_epochs")
+    bag = before(end_ns, begin, tmp_path / "two_epochs")
     outputs = fly(launched, tmp_path, bag, {frames_ns[12]: "uav1/slam_backend"}, rate=0.0)
     for name, (own, fused) in undisturbed.items():
         expected = {pose.stamp_ns: pose.T_map_body.t for pose in fused.poses if pose.stamp_ns < end_ns}
@@ -132,7 +132,7 @@ def test_each_node_of_a_vehicle_killed_in_turn_leaves_it_consistent(
     """In real time, slowly enough that a busy machine has the last node back before the flight ends."""
     nodes = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
     frames_ns = stamps_ns(undisturbed)
-    kills = {frames_ns[6 + 9 * k]: f"uav1/{node}" for k, node in enumerate(nodes)}
+    kills = {frames_ns[6 + 7 * k]: f"uav1/{node}" for k, node in enumerate(nodes)}
     outputs = fly(launched, tmp_path, begin, kills, rate=0.1)
     for name, flown in outputs.items():
         truth, calm = Trajectory.from_estimates(flown.truth), list(undisturbed[name][1].poses)
