@@ -33,7 +33,7 @@ def _remembered() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("check") / "flight"
-    record(dataclasses.replace(SCENARIOS["kagaru"], frames=16, scale=0.25, seed=3), path)
+    record(dataclasses.replace(SCENARIOS["kagaru"], frames=16, scale=0.15, seed=3), path)
     return path
 
 
