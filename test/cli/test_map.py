@@ -24,7 +24,7 @@ from uav_vslam.simulation.terrain import ground_of
 
 pytestmark = pytest.mark.slow
 
-SCENARIO = dataclasses.replace(SCENARIOS["sample"], frames=10, vehicles=2)
+SCENARIO = dataclasses.replace(SCENARIOS["sample"], frames=7, vehicles=2)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def result(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_map_of_two_vehicles_lies_on_the_true_ground(result: Path) -> None:
     tree = json.loads((result / "map/map.json").read_text())
-    assert {name: vehicle["views"] for name, vehicle in tree["vehicles"].items()} == {"uav1": 10, "uav2": 10}
+    assert {name: vehicle["views"] for name, vehicle in tree["vehicles"].items()} == {"uav1": 7, "uav2": 7}
     assert sum(vehicle["share"] for vehicle in tree["vehicles"].values()) == pytest.approx(1.0)
     assert tree["surface"]["coverage"] > 0.8
     assert tree["gsd_m"] == pytest.approx(70.0 / (1642.0 * 0.375), rel=0.05)
