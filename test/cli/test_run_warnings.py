@@ -138,6 +138,7 @@ def test_ground_truth_that_never_turns_is_warned_about_and_attitude_is_left_out(
     begin = before(SAMPLE_FROM_NS + 7 * NS_PER_S, SAMPLE, tmp_path / "begin")
     bag = rewritten(begin, tmp_path / "bag", edited(TRUTH, never_turned))
     arguments = ["--config", "sample", "--no-plots", "--no-maps", "--no-smoothing", "--workers", "1"]
+    arguments += ["--mode", "none", "--set", "backend.max_in_view=30"]
     assert main(["run", str(bag), *arguments, "--results", str(tmp_path / "out")]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "never changes" in line]
     assert [line.startswith(f"{WARNING}uav1: the orientation of the ground truth") for line in lines] == [True]
