@@ -18,18 +18,18 @@ from uav_vslam.studies.registry import STUDIES
 SMALL = {
     "frames": ["--seeds", "1", "--frames", "12"],
     "map_reuse": ["--seeds", "1", "--rendered-seeds", "0", "--frames", "12"],
-    "models": ["--seeds", "1", "--frames", "12"],
+    "models": ["--seeds", "1", "--frames", "9"],
     "flights": ["--seeds", "1", "--frames", "4", "--vehicles", "1", "--rate", "20", "--imu", "consumer"],
-    "fusion": ["--parts", "fleets", "--seeds", "1", "--frames", "12"],
-    "thesis": ["--seeds", "1", "--frames", "12"],
-    "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "5", "--runs", "1", "--steps", "4"],
+    "fusion": ["--parts", "fleets", "--seeds", "1", "--frames", "9"],
+    "thesis": ["--seeds", "1", "--frames", "9"],
+    "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "3", "--runs", "1", "--steps", "2"],
     "long": ["--seeds", "1", "--frames", "12"],
     "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
     "revisit": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
     "association": ["--seeds", "1", "--frames", "6", "--methods", "gated", "hgtm"],
     "recordings": ["--seeds", "1", "--frames", "3"],
     "perturbed": ["--seeds", "1", "--rendered-seeds", "0", "--frames", "2"],
-    "surface": ["--seeds", "1", "--frames", "8", "--bare"],
+    "surface": ["--seeds", "1", "--frames", "5", "--bare"],
     "orthomosaic": ["--seeds", "1", "--frames", "12", "--m-per-px", "0.3"],
 }
 LARGEST_PAGE_BYTES = 8_000_000
