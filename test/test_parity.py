@@ -80,23 +80,41 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Case:
     return fly_twin(write_fleet(folder, folder / "bag", "sample.yaml", vehicles=("uav1", "uav2"), mode="wideband"))
 
 
+def begin_of(mav0: Path, frames: int, folder: Path) -> Path:
+    """Make a EuRoC folder of the first frames of another, and the readings up to the next one; return its path."""
+    end_ns = np.loadtxt(mav0 / "cam0" / "data.csv", np.int64, delimiter=",", usecols=0)[frames]
+    for sensor in (path for path in mav0.iterdir() if path.is_dir()):
+        (folder / sensor.name).mkdir(parents=True)
+        for part in sensor.iterdir():
+            (folder / sensor.name / part.name).symlink_to(part)
+        head, *rows = (sensor / "data.csv").read_text().splitlines()
+        kept = folder / sensor.name / "data.csv"
+        kept.unlink()
+        kept.write_text("\n".join([head, *(row for row in rows if int(row.partition(",")[0]) < end_ns)]) + "\n")
+    (folder / "body.yaml").symlink_to(mav0 / "body.yaml")
+    return folder
+
+
 @pytest.fixture(scope="module")
 def euroc(tmp_path_factory: pytest.TempPathFactory, data_root: Path) -> Case:
     folder = tmp_path_factory.mktemp("euroc")
-    mav0 = data_root / "euroc_v101_keyframes" / "mav0"
-    assert main(["import", "euroc", str(mav0), str(folder / "whole")]) == 0
-    stamps_ns = np.loadtxt(mav0 / "cam0" / "data.csv", np.int64, delimiter=",", usecols=0)
-    bag = before(int(stamps_ns[EUROC_FRAMES]), folder / "whole", folder / "v101")
-    return fly_twin(write_fleet(folder, bag, "euroc.yaml", vehicles=("uav1",), mode="none"))
+    mav0 = begin_of(data_root / "euroc_v101_keyframes" / "mav0", EUROC_FRAMES, folder / "mav0")
+    assert main(["import", "euroc", str(mav0), str(folder / "v101")]) == 0
+    return fly_twin(write_fleet(folder, folder / "v101", "euroc.yaml", vehicles=("uav1",), mode="none"))
 
 
 @pytest.fixture
 def euroc_begin(euroc: Case, tmp_path: Path) -> Case:
-    """The first frames of the real flight, and the readings up to the next one."""
+    """The first frames of the real flight and the readings up to the next one; what follows changes nothing of them."""
     (bag,) = load_fleet(euroc.fleet).replay.bags
-    end_ns = euroc.tracks["uav1"].outputs[EUROC_FIRST_FRAMES].report.pose.stamp_ns
+    own, fused = euroc.tracks["uav1"], euroc.cooperative["uav1"]
+    end_ns = own.outputs[EUROC_FIRST_FRAMES].report.pose.stamp_ns
     begin = before(end_ns, bag, tmp_path / "begin")
-    return fly_twin(write_fleet(tmp_path, begin, "euroc.yaml", vehicles=("uav1",), mode="none"))
+    return Case(
+        write_fleet(tmp_path, begin, "euroc.yaml", vehicles=("uav1",), mode="none"),
+        {"uav1": dataclasses.replace(own, outputs=own.outputs[:EUROC_FIRST_FRAMES])},
+        {"uav1": dataclasses.replace(fused, poses=fused.poses[:EUROC_FIRST_FRAMES])},
+    )
 
 
 def run_graph(launched: Launched, case: Case, folder: Path) -> dict[str, RecordedOutputs]:
