@@ -14,7 +14,7 @@ from similarity_errors import similarity_errors
 
 from uav_vslam.cli.main import main
 
-SIZE = (480, 360)
+SIZE = (400, 300)
 CENTRES_SHARE = 0.01  # of the flight's extent, from COLMAP's
 SEAM_PX = 0.75
 
@@ -32,7 +32,7 @@ def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: 
     for file in sorted(source.glob("*.jpg")):
         cv2.imwrite(str(folder / file.name), cv2.resize(cv2.imread(str(file)), SIZE, interpolation=cv2.INTER_AREA))
     (folder / "gps.csv").write_bytes((source / "gps.csv").read_bytes())
-    assert main(["mosaic", str(folder), "--results", str(tmp_path / "results"), "--pixel", "0.32"]) == 0
+    assert main(["mosaic", str(folder), "--results", str(tmp_path / "results"), "--pixel", "0.4"]) == 0
     assert "GPS contradicts the pictures" in capsys.readouterr().err
     results = tmp_path / "results" / "latest"
     figures = json.loads((results / "mosaic.json").read_text())
