@@ -48,6 +48,7 @@ ROOT = Path(__file__).parents[2]
 FUZZ = runpy.run_path(str(Path(__file__).with_name("test_packet_fuzz.py")))  # its packet corruptions
 
 FRAMES = 17  # 2.2 s: epochs at 1 and 2 s, so that what comes in the first can do its harm in the second
+FEW = {"frontend.max_tracks": 150, "backend.max_in_view": 40}  # landmarks: an attack needs no more
 SHARE = 150  # hostile packets at each frame
 BURST = 8  # two a topic at once
 PAUSE_S = 0.004
@@ -166,7 +167,7 @@ def end_of(process: subprocess.Popen[bytes], log: Path) -> int:
 
 def nodes_of(bag: Path, folder: Path, key_file: str) -> list[NodeSpec]:
     """Return a vehicle's nodes, the recorder and, last, a replay that waits for the attacker at each frame."""
-    settings = {"fusion.fleet_key_file": key_file, "fusion.feedback": True}
+    settings = {"fusion.fleet_key_file": key_file, "fusion.feedback": True} | FEW
     config = load_vehicle(ROOT / "config" / "sample.yaml", overrides=settings)
     specs = node_specs(FleetConfig({"uav1": config}, ReplayConfig(bags=(bag,))))
     added = {
