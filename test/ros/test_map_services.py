@@ -174,7 +174,12 @@ def test_what_goes_wrong_is_the_response_and_the_node_goes_on(node: Node, tmp_pa
     assert not (tmp_path / "empty.npz").exists()
 
 
-def test_a_failure_that_nobody_foresaw_does_not_end_a_node_in_flight(node: Node, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_failure_that_nobody_foresaw_does_not_end_a_node_in_flight(
+    node: Node, ground: Ground, tmp_path: Path
+) -> None:
+    node.call("load_map", ground.file)
+    node.fly(ground.frames)
     archive, one = node.backend._stage._flight.archive, np.ones(1, np.uint32)
     assert archive is not None
     lost = np.zeros(0, np.float32)  # the covariance of a landmark: bounding it raises ValueError

@@ -2,6 +2,7 @@
 """Cameras that expose one row after another: undone where it is configured, measured and named where it is not."""
 
 import dataclasses
+import pickle
 import re
 
 import numpy as np
@@ -12,9 +13,12 @@ from uav_vslam.config import StartConfig
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.first_frames import AGAIN
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.rolling_shutter import exposed_at_once
 from uav_vslam.slam.shutter_monitor import ShutterMonitor
+from uav_vslam.slam.slam_flight import SlamFlight
+from uav_vslam.types import PoseEstimate
 
 PX = 0.05
 NAMED = "the rows of an image are exposed one after another"
@@ -22,6 +26,12 @@ NAMED = "the rows of an image are exposed one after another"
 
 def named(outputs: list[FrameOutput]) -> list[str]:
     return [text for output in outputs for text in output.warnings if NAMED in text]
+
+
+def mean_error(flight, poses: list[PoseEstimate]) -> float:
+    """Return the mean position error [m]."""
+    true = [flight.vehicle.true_state(pose.stamp_ns).T_map_body.t for pose in poses]
+    return float(np.linalg.norm([pose.T_map_body.t for pose in poses] - np.array(true), axis=1).mean())
 
 
 def add(monitor: ShutterMonitor, flight, k: int) -> str:
@@ -85,6 +95,59 @@ def test_a_readout_that_is_not_configured_is_measured_and_named(flown, seed: int
     assert f"set that to {1e-3 * found_ms:.5f};" in warning
 
 
+@pytest.mark.parametrize("configured_s", [0.0, 0.009])
+def test_what_has_been_measured_is_used_from_the_start_on(flown, configured_s: float) -> None:
+    flight = flown(2, frames=24, tracked_px=PX, readout_s=0.01)
+    right = feed(flight.tracking_stage(PX, readout_s=0.01), flight.frames)
+    outputs = feed(flight.tracking_stage(PX, readout_s=configured_s), flight.frames)
+    (at,) = (k for k, output in enumerate(outputs) if output.report.recovery == AGAIN)
+    assert f"the filter was re-initialised: {AGAIN}" in outputs[at].warnings
+    assert not any(output.warnings or output.report.coasted for output in outputs[at + 1 :])
+    assert [output.report.pose.stamp_ns for output in outputs[at].earlier] == [
+        output.report.pose.stamp_ns for output in outputs[:at]
+    ]
+    errors, nees = flight.errors_and_nees(outputs)
+    of_right = flight.errors_and_nees(right)[0]
+    assert errors[-1] < 1.1 * of_right[-1] + 0.05
+    assert nees[at:].mean() < 1.5
+    before, since = (
+        {one for output in part for one in output.report.sightings[:, 0]} for part in (outputs[:at], outputs[at:])
+    )
+    assert before.isdisjoint(since)  # peers may know the landmarks that are given up
+
+
+def test_a_readout_that_explains_no_more_is_not_used(flown, monkeypatch) -> None:
+    flight = flown(1, frames=24, tracked_px=PX)
+    stage, right = flight.tracking_stage(PX), flight.tracking_stage(PX)
+    expected = feed(right, flight.frames)
+    monkeypatch.setattr(SlamFlight, "contradicting_readout_s", 0.02)
+    for output, other in zip(feed(stage, flight.frames), expected, strict=True):
+        assert output.readout_s == 0.0
+        np.testing.assert_array_equal(output.report.pose.T_map_body.t, other.report.pose.T_map_body.t)
+
+
+def test_live_settings_leave_what_has_been_measured_and_a_new_session_begins_with_it(flown) -> None:
+    flight = flown(2, frames=24, tracked_px=PX, readout_s=0.01)
+    stage = flight.tracking_stage(PX)
+    config = stage._config
+    feed(stage, flight.frames[:20])
+    stage.configure(config)
+    (*_, output) = feed(stage, flight.frames[20:])
+    assert output.readout_s == pytest.approx(0.01, abs=5e-4)
+    again = stage.restarted(2, flight.vehicle.initial)
+    (output, *_) = feed(again, flight.frames[:2])
+    assert output.readout_s == pytest.approx(0.01, abs=5e-4)
+
+
+def test_a_flight_that_goes_on_from_a_checkpoint_is_not_flown_again(flown) -> None:
+    flight = flown(2, frames=24, tracked_px=PX, readout_s=0.01)
+    stage = flight.tracking_stage(PX)
+    feed(stage, flight.frames[:6])
+    outputs = feed(pickle.loads(pickle.dumps(stage)), flight.frames[6:])
+    assert named(outputs)
+    assert not any(output.report.recovery == AGAIN for output in outputs)
+
+
 def test_a_global_shutter_is_not_suspected(flown) -> None:
     for seed in range(1, 9):
         flight = flown(seed, frames=24, tracked_px=PX)
@@ -131,16 +194,13 @@ def test_a_start_in_flight_is_found(flown, seed: int, readout_s: float) -> None:
 
 
 def test_the_smoothed_flight_uses_the_same_points(flown) -> None:
-    flight = flown(1, frames=36, tracked_px=PX, readout_s=0.02)
-    config = flight.tracking_stage(PX, readout_s=0.02)._config
+    flight = flown(5, frames=36, tracked_px=PX, readout_s=-0.02)
+    config = flight.tracking_stage(PX, readout_s=-0.02)._config
     source = SimulatedSource(flight.vehicle, features=tuple(features for features, _ in flight.frames))
     track = track_vehicle(source, config, smoothing=True)
     assert not any("smoothed" in text for text in track.warnings)
     ignored = dataclasses.replace(config, rig=dataclasses.replace(config.rig, readout_s=0.0))
-    causal, smoothed = (
-        [np.linalg.norm(pose.T_map_body.t - flight.vehicle.true_state(pose.stamp_ns).T_map_body.t) for pose in poses]
-        for poses in (track.poses, track.smoothed)
-    )
-    assert np.mean(smoothed) < 1.1 * np.mean(causal)
-    lost = track_vehicle(source, ignored, smoothing=True)
-    assert lost.warnings
+    assert mean_error(flight, track.smoothed) < 1.1 * mean_error(flight, track.poses)
+    measured = track_vehicle(source, ignored, smoothing=True)
+    assert mean_error(flight, measured.poses) > 1.5 * mean_error(flight, track.poses)  # the first frames
+    assert mean_error(flight, measured.smoothed) < 1.1 * mean_error(flight, track.smoothed)

@@ -119,19 +119,28 @@ def smooth_track(
     if track.start is None or not track.outputs:
         return mapped
     with _warning_of(track, "the flight could not be smoothed"):
-        flight = FilteredFlight.of_outputs(track.start, track.outputs, _exposed_at_once(track, rig, config))
+        outputs = _last_outputs(track)
+        flight = FilteredFlight.of_outputs(track.start, outputs, _exposed_at_once(track, outputs, rig))
         found = smooth(flight, rig, config, mapped)
         track.smoothed, mapped = [estimate.pose for estimate in found.estimates], found.mapped
     return mapped
 
 
-def _exposed_at_once(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> dict[int, StereoFeatures]:
+def _last_outputs(track: VehicleTrack) -> list[FrameOutput]:
+    """Return the last output of each frame: some may have been used again."""
+    for number, output in enumerate(track.outputs):
+        if output.earlier:
+            return [*output.earlier, *track.outputs[number:]]
+    return track.outputs
+
+
+def _exposed_at_once(track: VehicleTrack, outputs: list[FrameOutput], rig: StereoRig) -> dict[int, StereoFeatures]:
     """Return a track's features as the back end used them."""
     found = {}
-    for output in track.outputs:
-        nav = output.report.nav.state
+    for output in outputs:
+        nav, readout_s = output.report.nav.state, output.readout_s
         shown = track.features[nav.stamp_ns]
-        found[nav.stamp_ns] = exposed_at_once(shown, nav, output.increment, rig=rig, readout_s=config.rig.readout_s)
+        found[nav.stamp_ns] = exposed_at_once(shown, nav, output.increment, rig=rig, readout_s=readout_s)
     return found
 
 

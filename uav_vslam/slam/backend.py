@@ -144,8 +144,12 @@ class SlamBackend:
         """
         backend = copy.deepcopy(self)
         backend.configure(config)
-        backend._map.continue_ids(present._map)
+        backend.continue_ids(present)
         return backend
+
+    def continue_ids(self, present: "SlamBackend") -> None:
+        """Leave out the identifiers that another back end of the session has given to landmarks."""
+        self._map.continue_ids(present._map)
 
     def set_imu(self, imu: ImuConfig) -> None:
         """Go on with another noise of the IMU."""

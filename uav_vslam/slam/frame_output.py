@@ -17,6 +17,8 @@ class FrameOutput:
         joint: the estimate of pose and landmarks, at epochs only.
         increment: the motion since the frame before that the back end used; None at the start itself.
         warnings: problems for the user; normally none.
+        readout_s: of the cameras' rolling shutter, as it was undone [s].
+        earlier: outputs of all frames before, where these have been used again; normally none.
     """
 
     report: FrameReport
@@ -24,6 +26,8 @@ class FrameOutput:
     joint: JointInformation | None
     increment: ImuIncrement | None
     warnings: tuple[str, ...] = ()
+    readout_s: float = 0.0
+    earlier: tuple["FrameOutput", ...] = ()
 
     @property
     def quality(self) -> FrameQuality:

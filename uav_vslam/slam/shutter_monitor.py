@@ -71,6 +71,7 @@ class ShutterMonitor:
 
     Attributes:
         watching: the readout is not known yet.
+        contradicting_s: the readout, if it is known and not the one that is configured [s].
     """
 
     def __init__(self, readout_s: float) -> None:
@@ -78,6 +79,7 @@ class ShutterMonitor:
         self._before: StereoFeatures | None = None
         self._found = _Mean()
         self.watching = True
+        self.contradicting_s: float | None = None
 
     def begin(self, features: StereoFeatures) -> None:
         """Begin with a frame: the motion up to there is not known well."""
@@ -110,6 +112,7 @@ class ShutterMonitor:
         self.watching, self._before = False, None
         if abs(readout_s - self._configured_s) < max(WARNED_S, WARNED_SIGMAS * sigma_s):
             return ""
+        self.contradicting_s = readout_s
         return (
             f"the rows of an image are exposed one after another: the last one {1e3 * readout_s:.2f} ms "
             f"± {1e3 * sigma_s:.2f} ms after the first, which is not rig.readout_s, {1e3 * self._configured_s:g} ms: "

@@ -81,6 +81,16 @@ class SlamFlight:
         archive = None if self.archive is None else MapArchive(self.archive.origin)
         return self.__dict__ | {"archive": archive, "_bias_steps": BiasStepMonitor(), "_clock": None}
 
+    @property
+    def is_readout_known(self) -> bool:
+        """Whether the readout of the cameras has been measured."""
+        return not self._shutter.watching
+
+    @property
+    def contradicting_readout_s(self) -> float | None:
+        """The readout that was measured, if it is not the one that is configured [s]."""
+        return self._shutter.contradicting_s
+
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
         self._config = config
@@ -111,7 +121,8 @@ class SlamFlight:
         of_map = self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
         warnings = (*noisy, of_clock, of_shutter, of_start, of_map, self._warning(report))
-        return FrameOutput(report, dead_reckoned, joint, increment, tuple(text for text in warnings if text))
+        told = tuple(text for text in warnings if text)
+        return FrameOutput(report, dead_reckoned, joint, increment, told, self._config.rig.readout_s)
 
     def _motion(self, backend: SlamBackend, stamp_ns: int, increment: ImuIncrement | None) -> ImuIncrement | None:
         """Return the motion from the estimate to a frame, unknown as far as no increment has it; None for none."""
@@ -183,7 +194,7 @@ class SlamFlight:
             return features, ""
         now = before if increment is None else propagate(before, increment, gravity=self._config.imu.gravity)
         at_once = exposed_at_once(features, now, increment, rig=self._rig, readout_s=readout_s)
-        if increment is None or lacks_readings(increment) or backend.imu_fault:
+        if increment is None or lacks_readings(increment):
             self._shutter.begin(features)
             return at_once, ""
         return at_once, self._shutter.add(features, before, now, increment, self._rig)

@@ -11,6 +11,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import MapError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
+from uav_vslam.slam.first_frames import FirstFrames
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
@@ -57,6 +58,8 @@ class SlamStage:
         self._queue = FrameQueue()
         self._search: InFlightInitializer | None = None
         self._flight: SlamFlight | None = None  # begins with the first frame
+        self._first_frames = FirstFrames()
+        self._readout_s = config.rig.readout_s  # as configured, or as measured
         self._start_warning = ""  # of the start state that was found
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
         self._start_unreachable = 0
@@ -153,7 +156,7 @@ class SlamStage:
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
-        self._config = config
+        self._config = config = _with_readout(config, self._readout_s)
         for part in (self._search, self._flight):
             if part is not None:
                 part.configure(config)
@@ -253,10 +256,19 @@ class SlamStage:
             assert self.initial is not None
             self._flight = self._new_flight(self.initial, rig)
         output = self._flight.process(features, increment)
+        self._flight, output = self._first_frames.add(features, increment, self._flight, output, self._begun_again)
         if self._start_warning:
             output = dataclasses.replace(output, warnings=(self._start_warning, *output.warnings))
             self._start_warning = ""
         return output
+
+    def _begun_again(self, readout_s: float) -> SlamFlight:
+        """Return a flight with another readout; the session is known by the frames before it."""
+        assert self.initial is not None
+        assert self.rig is not None  # there is a flight
+        self._readout_s, self._is_announced = readout_s, True
+        self._config = _with_readout(self._config, readout_s)
+        return self._new_flight(self.initial, self.rig)
 
     def _new_flight(self, initial: NavEstimate, rig: StereoRig) -> SlamFlight:
         return SlamFlight(
@@ -269,3 +281,7 @@ class SlamStage:
             start_map=self._start_map,
             announced=self._is_announced,
         )
+
+
+def _with_readout(config: VehicleConfig, readout_s: float) -> VehicleConfig:
+    return dataclasses.replace(config, rig=dataclasses.replace(config.rig, readout_s=readout_s))
