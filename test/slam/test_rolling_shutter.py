@@ -124,6 +124,8 @@ def test_a_readout_that_explains_no_more_is_not_used(flown, monkeypatch) -> None
     for output, other in zip(feed(stage, flight.frames), expected, strict=True):
         assert output.readout_s == 0.0
         np.testing.assert_array_equal(output.report.pose.T_map_body.t, other.report.pose.T_map_body.t)
+    (first,) = feed(stage.restarted(2, flight.vehicle.initial), flight.frames[:1])
+    assert first.readout_s == 0.0
 
 
 def test_live_settings_leave_what_has_been_measured_and_a_new_session_begins_with_it(flown) -> None:

@@ -59,7 +59,6 @@ class SlamStage:
         self._search: InFlightInitializer | None = None
         self._flight: SlamFlight | None = None  # begins with the first frame
         self._first_frames = FirstFrames()
-        self._readout_s = config.rig.readout_s  # as configured, or as measured
         self._start_warning = ""  # of the start state that was found
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
         self._start_unreachable = 0
@@ -156,7 +155,7 @@ class SlamStage:
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
-        self._config = config = _with_readout(config, self._readout_s)
+        self._config = config = _with_readout(config, self._config.rig.readout_s)  # which may have been measured
         for part in (self._search, self._flight):
             if part is not None:
                 part.configure(config)
@@ -254,9 +253,10 @@ class SlamStage:
     def _process(self, rig: StereoRig, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
         if self._flight is None:
             assert self.initial is not None
-            self._flight = self._new_flight(self.initial, rig)
+            self._flight = self._new_flight(self.initial, rig, self._config)
         output = self._flight.process(features, increment)
         self._flight, output = self._first_frames.add(features, increment, self._flight, output, self._begun_again)
+        self._config = _with_readout(self._config, output.readout_s)
         if self._start_warning:
             output = dataclasses.replace(output, warnings=(self._start_warning, *output.warnings))
             self._start_warning = ""
@@ -266,15 +266,14 @@ class SlamStage:
         """Return a flight with another readout; the session is known by the frames before it."""
         assert self.initial is not None
         assert self.rig is not None  # there is a flight
-        self._readout_s, self._is_announced = readout_s, True
-        self._config = _with_readout(self._config, readout_s)
-        return self._new_flight(self.initial, self.rig)
+        self._is_announced = True
+        return self._new_flight(self.initial, self.rig, _with_readout(self._config, readout_s))
 
-    def _new_flight(self, initial: NavEstimate, rig: StereoRig) -> SlamFlight:
+    def _new_flight(self, initial: NavEstimate, rig: StereoRig, config: VehicleConfig) -> SlamFlight:
         return SlamFlight(
             initial,
             rig=rig,
-            config=self._config,
+            config=config,
             vehicle=self._vehicle,
             session=self._session,
             archive=MapArchive(self._origin(self._session)) if self._keep_map else None,
