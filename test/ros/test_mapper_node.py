@@ -23,10 +23,10 @@ from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.mapping.flown_map import UNSEEN_GREY  # noqa: E402
 from uav_vslam.mapping.surface.grid import HeightGrid  # noqa: E402
 from uav_vslam.mapping.surface.mapper import SurfaceMapper  # noqa: E402
-from uav_vslam.ros.convert import flat, header, pose_with_covariance_to_msg, transform_to_msg  # noqa: E402
+from uav_vslam.ros.convert import flat, header, navigation_to_msg, pose_with_covariance_to_msg, transform_to_msg  # noqa: E402
 from uav_vslam.ros.mapper_node import MapperNode  # noqa: E402
 from uav_vslam.ros.qos import LATCHED  # noqa: E402
-from uav_vslam.types import PoseEstimate  # noqa: E402
+from uav_vslam.types import NavEstimate, NavState, PoseEstimate  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -205,6 +205,31 @@ def test_a_restarted_mapper_and_a_reset_one_begin_a_map_beside_the_earlier_ones(
     node.reset()
     assert (tmp_path / "map_2" / "map.json").is_file()
     assert node._map.folder == tmp_path / "map_4"
+
+
+def found(node: MapperNode, stamp_ns: int) -> None:
+    state = NavEstimate(NavState(stamp_ns, Pose.identity(), *np.zeros((3, 3))), np.eye(15))
+    deliver(node, "initial_state", navigation_to_msg(state, frame_id="uav1/map", child_frame_id="uav1/base_link"))
+
+
+def test_another_start_in_flight_begins_another_map(make: Make, tmp_path: Path) -> None:
+    """Its poses are in another frame; the same start, latched by a node that was restarted, begins none."""
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0", "start.method:=in_flight")
+    calibrate(node)
+    for stamp_ns, folder in ((5, "map"), (5, "map"), (7, "map_2")):
+        found(node, stamp_ns)
+        assert node._map.folder == tmp_path / folder
+        fly(node, range(VIEWS))
+    assert (tmp_path / "map" / "map.json").is_file()
+    with full_disk():
+        found(node, 9)
+    assert node._map.folder is None
+    assert "File too large" in node.alarms["map"]
+
+
+def test_where_the_start_is_given_each_map_frame_is_the_same(make: Make, tmp_path: Path) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    assert not any(one.topic == "initial_state" for one in node._inputs)
 
 
 def test_a_reset_that_can_not_begin_another_map_leaves_the_present_one_in_use(make: Make, tmp_path: Path) -> None:

@@ -4,6 +4,8 @@
 in   left/image_raw, or left/image_raw/compressed    sensor_msgs/Image, CompressedImage
      left/camera_info, right/camera_info, /tf_static the rig
      slam/smoothed                                   geometry_msgs/PoseWithCovarianceStamped, a second or two late
+     initial_state                                   uav_vslam_msgs/NavigationState, with start.method in_flight alone:
+                                                     each one found is the origin of a map of its own
 out  map/surface                                     sensor_msgs/PointCloud2, latched, map frame: cells' centres, rgb
      map/mesh                                        visualization_msgs/Marker, latched, map frame: triangles
  srv ~/save_map                                      std_srvs/Trigger: the map so far, into the folder map.folder
@@ -34,6 +36,7 @@ from uav_vslam.ros.qos import IMAGES, LATCHED, SENSOR
 from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.ros.vehicle_node import VehicleNode
+from uav_vslam_msgs.msg import NavigationState
 
 MESH_STEP_M = 2.0  # sides of the triangles that are published
 MOST_BUSY = 0.1  # share of the time that publishing the map may take
@@ -49,6 +52,7 @@ class MapperNode(VehicleNode):
         self._published_pairs, self._idle_until_s = 0, 0.0
         self._late: LatePoses | None = None
         self._stamp_ns = 0
+        self._start_ns: int | None = None  # of the start in flight that the map begins with
         self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
         self._mesh = self.advertise(Marker, "map/mesh", LATCHED)
         self._rig = RigListener(self, self._on_rig)
@@ -56,6 +60,8 @@ class MapperNode(VehicleNode):
         for kind, name in image_topics(self, topic).items():
             self.listen(kind, name, self._on_image, IMAGES, instead_of=topic)
         self.listen(PoseWithCovarianceStamped, "slam/smoothed", self._on_pose, SENSOR)
+        if self.config.start.method == "in_flight":
+            self.listen(NavigationState, self.config.input.topics.initial_state, self._on_start, LATCHED)
         self.create_service(Trigger, "~/save_map", self._on_save)
         create_wall_timer(self, self.own.map.publish_s, self._publish)
 
@@ -72,9 +78,7 @@ class MapperNode(VehicleNode):
 
     def reset(self) -> None:
         """Begin another map, in a folder beside the present one, which is saved."""
-        another = self._new_map(beside=True)  # before anything has ended: it may be refused
-        self._end_map()
-        self._map, self._published_pairs = another, 0
+        self._replace_map(self._new_map(beside=True))  # before anything has ended: it may be refused
         self._rig.restart()
         self._late = None
         self._on_rig()
@@ -83,6 +87,22 @@ class MapperNode(VehicleNode):
         """Save the whole map, then destroy the node."""
         self._end_map()
         super().destroy_node()
+
+    def _on_start(self, message: NavigationState) -> None:
+        """Begin another map with another start found in flight: its poses are in a frame of their own."""
+        before, self._start_ns = self._start_ns, stamp_ns_of(message)
+        if before in (None, self._start_ns):
+            return
+        try:
+            another = self._new_map(beside=True)
+        except (UavVslamError, OSError) as error:
+            self._alarm(error)
+            another = FlownMap(None, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
+        self._replace_map(another)
+
+    def _replace_map(self, another: FlownMap) -> None:
+        self._end_map()
+        self._map, self._published_pairs = another, 0
 
     def _end_map(self) -> None:
         if self._map.folder is not None and self._map.mapper.pairs:
