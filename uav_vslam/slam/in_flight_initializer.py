@@ -264,7 +264,7 @@ class InFlightInitializer:
         if not enough or agreeing < MIN_AGREEING * matched:
             raise InsufficientEvidence(
                 f"only {agreeing} of {matched} matches in {len(views)} frames fit one motion; check calibration, "
-                "IMU axes and units, imu.gyro_bias_sigma and backend.sigma_px"
+                "IMU axes and units, imu.gyro_bias_sigma, backend.sigma_px and, for a rolling shutter, rig.readout_s"
             )
         span_s = sum(view.motion.dt_s for view in views)
         turn = float(np.linalg.norm(found.gyro_bias)) * span_s
