@@ -29,7 +29,7 @@ from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.types import FrameQuality, StereoFeatures
 
-SEEDS = range(1, 7)
+SEEDS = range(1, 5)
 FRAMES = 50
 DARK = (10, 11, 12, 30)  # frames in which the cameras saw nothing
 PERIOD_S = 0.14005602240896359  # of the simulated camera

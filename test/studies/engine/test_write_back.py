@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 pytestmark = pytest.mark.slow
 
-FRAMES = 120
+FRAMES = 90
 NAV, LANDMARKS = 15, 5
 ROWS = np.array([3, 0, 4])  # of the own landmarks that are shared, in the order in which the peer names them
 IDS = np.array([30, 10, 40], np.uint32)
