@@ -255,8 +255,9 @@ class SlamStage:
             assert self.initial is not None
             self._flight = self._new_flight(self.initial, rig, self._config)
         output = self._flight.process(features, increment)
-        self._flight, output = self._first_frames.add(features, increment, self._flight, output, self._begun_again)
-        self._config = _with_readout(self._config, output.readout_s)
+        flight, output = self._first_frames.add(features, increment, self._flight, output, self._begun_again)
+        if flight is not self._flight:
+            self._flight, self._config = flight, _with_readout(self._config, output.readout_s)
         if self._start_warning:
             output = dataclasses.replace(output, warnings=(self._start_warning, *output.warnings))
             self._start_warning = ""
