@@ -5,7 +5,7 @@ SHELL := /bin/bash
 ACTIVATE := unset PYTHONDONTWRITEBYTECODE; . ./env.sh &&
 PYTEST := pytest --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder # a file's tests share fixtures
 
-.PHONY: help setup demo test test-quick check bench clean
+.PHONY: help setup demo test test-all check bench clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST)
@@ -16,11 +16,11 @@ setup: ## make .venv and build the messages and the package (again: nothing to d
 demo: setup ## replay the sample recordings of two vehicles and report
 	@$(ACTIVATE) uav-vslam demo
 
-test: setup ## run the tests on all cores; ARGS="-k camera" chooses
-	@$(ACTIVATE) $(PYTEST) $(ARGS)
-
-test-quick: setup ## run the tests without the slow ones
+test: setup ## run the tests but the slow ones on all cores; ARGS="-k camera" chooses
 	@$(ACTIVATE) $(PYTEST) -m "not slow" $(ARGS)
+
+test-all: setup ## run all tests, as CI does
+	@$(ACTIVATE) $(PYTEST) $(ARGS)
 
 check: setup ## lint, formatting, types
 	@$(ACTIVATE) status=0; ruff check . || status=1; ruff format --check . || status=1; mypy || status=1; exit $$status

@@ -41,6 +41,7 @@ def received(member: CooperativeTrack) -> dict[str, int]:
     return {peer: record.received for peer, record in member.fusion.inbox.peers.items()}
 
 
+@pytest.mark.slow
 def test_without_links_every_packet_reaches_every_peer(tracks: dict[str, VehicleTrack]) -> None:
     fleet = cooperate(tracks, configs(feedback=False))
     sent = {name: member.exchange.outbox.packets_sent for name, member in fleet.items()}

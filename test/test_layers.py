@@ -190,6 +190,7 @@ def test_the_list_for_contributors_has_every_part_and_may_be_read_downwards() ->
     assert [(part, below) for part, allowed in ALLOWED.items() for below in allowed if rank[below] > rank[part]] == []
 
 
+@pytest.mark.slow
 def test_later_layers_import_earlier_ones_and_never_the_reverse() -> None:
     assert [line for path in modules() for line in wrong_layers(path)] == []
 
@@ -303,6 +304,7 @@ print(len(sys.argv) - 1)
 """
 
 
+@pytest.mark.slow
 def test_everything_but_the_nodes_works_without_ros() -> None:
     """One process imports every module of the core with rclpy and all message packages refused."""
     names = [

@@ -79,16 +79,19 @@ def end_nees(seed: int, model: str) -> float:
     return position_nees(pose, source.simulated.true_state(pose.stamp_ns))
 
 
+@pytest.mark.slow
 def test_the_default_model_is_consistent() -> None:
     mean = np.mean([end_nees(seed, "ri15") for seed in range(1, RUNS + 1)])
     assert BAND[0] < mean < BAND[1]
 
 
+@pytest.mark.slow
 def test_the_thesis_model_is_overconfident() -> None:
     mean = np.mean([end_nees(seed, "euler9") for seed in range(1, RUNS // 2 + 1)])
     assert mean > 3 * BAND[1]
 
 
+@pytest.mark.slow
 def test_the_same_flight_twice_gives_the_same_bytes() -> None:
     runs = [flown(), fly_fleet(1)]
     for name in ("uav1", "uav2"):

@@ -23,6 +23,7 @@ def boards(count: int = 12, seed: int = 1) -> Boards:
     return Boards(pairs, [], (WIDTH, HEIGHT))
 
 
+@pytest.mark.slow
 def test_all_pairs_of_a_rigid_rig_are_used_and_nothing_is_doubtful() -> None:
     found = calibrate(boards(24), LENS)
     assert len(found.pairs) == 24
@@ -40,6 +41,7 @@ def test_each_half_is_judged_by_the_cameras_of_the_other() -> None:
     assert np.all(np.array(found.check.other_px) > found.check.own_px)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 4])
 def test_a_pair_whose_images_are_of_two_moments_is_rejected(seed: int) -> None:
     """A joint solution of all ten would not tell it: there the pair has less than thrice the median error."""
@@ -58,6 +60,7 @@ def test_too_few_pairs_that_agree_are_refused() -> None:
         calibrate(replace(given, pairs=[*given.pairs[:5], mixed, *given.pairs[6:]]), LENS)
 
 
+@pytest.mark.slow
 def test_halves_that_disagree_are_told() -> None:
     """Every second picture is of a board that is 3 % larger, as if two boards had been mixed up."""
     given = boards(24)
@@ -74,6 +77,7 @@ def scaled(corners: Corners, factor: float) -> Corners:
     return Corners(factor * corners.points_board, corners.pixels)
 
 
+@pytest.mark.slow
 def test_boards_that_face_the_camera_leave_the_focal_length_open() -> None:
     rig, points = rig_of(), boards(1).pairs[0].left.points_board
     rng, pairs = np.random.default_rng(3), []

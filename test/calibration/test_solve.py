@@ -34,6 +34,7 @@ def test_exact_corners_give_the_true_rig(model: str) -> None:
     assert rms([part for pair in found.residuals for part in pair]) < 1e-4
 
 
+@pytest.mark.slow
 def test_the_rational_model_images_points_where_the_true_lens_does() -> None:
     """Its coefficients trade against each other, so that pixels are compared."""
     true = rig_of("rational_polynomial")

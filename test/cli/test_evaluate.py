@@ -113,6 +113,7 @@ def run(*arguments) -> int:
     return evaluate.run(parser.parse_args([str(argument) for argument in arguments]))
 
 
+@pytest.mark.slow
 def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
     assert run(pair / "estimates", pair / "inputs", "--results", tmp_path, "--name", "made up") == 0
     summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
@@ -135,6 +136,7 @@ def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
     assert str((tmp_path / "latest").resolve().name) in printed
 
 
+@pytest.mark.slow
 def test_plots_and_tracks_are_written(pair, tmp_path):
     run(pair / "estimates", pair / "inputs", "--results", tmp_path)
     names = {path.name for path in (tmp_path / "latest").iterdir()}

@@ -78,6 +78,7 @@ def test_the_same_poses_give_the_same_figures_in_every_format(files: dict[str, P
     assert tum["nees_position"] is None
 
 
+@pytest.mark.slow
 def test_evaluating_results_leaves_latest_where_it_is_and_draws(results: Path, capsys) -> None:
     before = results.resolve()
     for _ in range(2):  # the same command works twice

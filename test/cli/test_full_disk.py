@@ -38,6 +38,7 @@ def only_line(done: subprocess.CompletedProcess[str]) -> str:
     return done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_simulate_names_the_bag_and_removes_it(storage: str, tmp_path: Path) -> None:
     bag = tmp_path / "flight"

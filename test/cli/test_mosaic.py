@@ -50,6 +50,7 @@ def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: 
     assert (results / "map" / "orthomosaic.tif").is_file()
 
 
+@pytest.mark.slow
 def test_pictures_that_can_t_be_decoded_are_named_in_the_results(tmp_path: Path) -> None:
     flown = flight(1, 3)
     folder = write(render(flown), flown.names(), tmp_path / "pictures")

@@ -37,6 +37,7 @@ def test_a_run_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
     check_saved_unread(results, "run", str(bag), "--no-maps", "--no-smoothing", "--workers", "1")
 
 
+@pytest.mark.slow
 def test_an_evaluation_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
     bag, results = tmp_path / "estimates", tmp_path / "results"
     with RawRecorder(bag) as recorder:

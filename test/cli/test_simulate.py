@@ -35,6 +35,7 @@ def test_arguments_reach_the_recording(tmp_path: Path, capsys: pytest.CaptureFix
     assert f"{out}: 1 vehicles, 3 image pairs each" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_recording_of_objects_in_colour_reads_back_in_colour(tmp_path: Path) -> None:
     out = tmp_path / "flight"
     arguments = "--frames", "2", "--vehicles", "1", "--scale", "0.125", "--objects", "--colour"

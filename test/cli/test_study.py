@@ -166,6 +166,7 @@ def test_a_study_that_is_not_known_is_wrong_input(capsys: pytest.CaptureFixture[
     assert "filters" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_study_of_flights_needs_a_seed(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         command.main(["study", "recordings", "--seeds", "0"])

@@ -19,6 +19,8 @@ from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.types import PoseEstimate
 
+pytestmark = pytest.mark.slow
+
 SEEDS = (1, 2)
 FRAMES = 70  # 9.8 s
 FIX_SIGMA_M = 0.02  # of a position, as closing a loop gives

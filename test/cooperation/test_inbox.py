@@ -195,6 +195,7 @@ def test_recorded_packets_that_are_sent_again_are_refused(make_small_packet) -> 
 ARRIVALS = st.lists(st.integers(1, 7), min_size=1, max_size=25)
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(ARRIVALS, st.data())
 def test_what_is_kept_depends_on_what_came_and_not_on_its_order(make_small_packet, arrivals, data) -> None:

@@ -81,6 +81,7 @@ def assert_is_leg(found: BagFlight, flight: BagFlight, first_ns: int, last_ns: i
     assert readings[-1] > last_ns
 
 
+@pytest.mark.slow
 def test_each_vehicle_is_its_leg_bit_for_bit_and_all_start_at_once(source: Path, tmp_path: Path) -> None:
     flight = open_flight(source, "uav1")
     cut = cut_of(flight, tmp_path / "cut")

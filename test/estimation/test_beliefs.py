@@ -596,6 +596,7 @@ class Sequences(RuleBasedStateMachine):
         assert_holds(InformationBelief(alone.Y, alone.vehicle), self.dense)
 
 
+@pytest.mark.slow
 def test_sequences_of_operations_agree_with_the_textbook() -> None:
     """The textbook continues from its own covariance, so errors must not accumulate either."""
     run_state_machine_as_test(Sequences, settings=settings(max_examples=60, stateful_step_count=25))

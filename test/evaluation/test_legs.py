@@ -55,6 +55,7 @@ def test_a_flight_that_overlaps_all_over_is_cut_into_halves() -> None:
     np.testing.assert_allclose(seconds(choose(everywhere, min_overlap=0.5)), [(0, 60), (60, 120)], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_longest_legs_that_overlap_enough_are_taken() -> None:
     overlap = planted([(17, 83)], 20, share=0.8)
     lengths = [seconds(choose(overlap, min_overlap=least))[0] for least in (0.3, 0.5, 0.7)]

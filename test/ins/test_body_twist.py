@@ -37,6 +37,7 @@ def test_velocity_and_rate_are_in_the_body_frame_without_the_bias() -> None:
     np.testing.assert_allclose(twist.angular, RATE, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_drawn_errors() -> None:
     """Truth is drawn around the estimate; 3 % is four standard deviations of 40 000 draws' variances."""
     rng, P = np.random.default_rng(5), covariance()

@@ -12,6 +12,7 @@ def reading(stamp_ns: int) -> ImuSample:
     return ImuSample(stamp_ns, np.zeros(3), np.zeros(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [10, 200, 4000])
 @pytest.mark.parametrize("held_s", [0.5, 1.5])
 def test_the_span_is_buffered_at_any_rate(rate_hz: int, held_s: float) -> None:

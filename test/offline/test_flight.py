@@ -45,6 +45,7 @@ def states(fleet: dict[str, CooperativeTrack]) -> dict[str, list[bytes]]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_fused_in_flight_is_as_fused_afterwards(
     sources: list[SimulatedSource], configs: dict[str, VehicleConfig], tracks: dict[str, VehicleTrack], workers: int
@@ -65,6 +66,7 @@ def test_fused_in_flight_is_as_fused_afterwards(
         np.testing.assert_array_equal(kept.covariances, recorded.covariances)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.parametrize(
     ("start", "told"),

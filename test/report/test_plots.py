@@ -3,6 +3,7 @@ import dataclasses
 
 import cv2
 import numpy as np
+import pytest
 
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.error_plot import error_plot
@@ -15,6 +16,7 @@ def lines(axes, name):
     return [line for line in axes.lines if line.get_color() == STYLES[name].colour]
 
 
+@pytest.mark.slow
 def test_every_plot_is_a_valid_image(pair, tmp_path):
     paths = write_plots(pair, tmp_path)
     assert [path.name for path in paths] == ["plan_view.png", "errors.png", "nees.png"]
@@ -24,10 +26,12 @@ def test_every_plot_is_a_valid_image(pair, tmp_path):
         assert picture.std() > 5
 
 
+@pytest.mark.slow
 def test_a_name_with_dollar_signs_is_drawn_as_it_is(pair, tmp_path):
     assert write_plots(dataclasses.replace(pair, name=r"a$\frac$b"), tmp_path)
 
 
+@pytest.mark.slow
 def test_the_same_flight_is_drawn_to_the_same_bytes(pair, tmp_path):
     first = [path.read_bytes() for path in write_plots(pair, tmp_path)]
     assert [path.read_bytes() for path in write_plots(pair, tmp_path)] == first

@@ -195,6 +195,7 @@ def bombard(packets: list[LandmarkPacket], authentication: Authentication) -> tu
     return reasons, accepted
 
 
+@pytest.mark.slow
 def test_with_a_fleet_key_none_gets_in(packets: list[LandmarkPacket], capfd) -> None:
     reasons, accepted = bombard(packets, FleetKey(b"k" * 32))
     assert accepted == []
@@ -203,6 +204,7 @@ def test_with_a_fleet_key_none_gets_in(packets: list[LandmarkPacket], capfd) -> 
     capfd.readouterr()  # Fast CDR writes to stderr what it can't read
 
 
+@pytest.mark.slow
 def test_without_a_key_what_gets_in_can_be_computed_with(packets: list[LandmarkPacket], make_joint, capfd) -> None:
     reasons, accepted = bombard(packets, NoAuthentication())
     own = make_joint(np.random.default_rng(2).uniform(-40, 40, (10, 3)), np.eye(36))

@@ -318,6 +318,7 @@ def test_without_subscribers_it_times_out_and_lists_the_topics(bags: list[Path],
     assert "/uav1/fused/odometry has no publisher" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_recorder_completes_its_bag_at_a_signal(
     fleet: Fleet, bags: list[Path], tmp_path: Path, number: signal.Signals

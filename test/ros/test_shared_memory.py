@@ -70,6 +70,7 @@ def there(names: set[str]) -> set[str]:
     return {name for name in names if (FOLDER / name).exists()}
 
 
+@pytest.mark.slow
 def test_what_a_killed_node_left_is_freed_at_the_next_launch_and_the_living_go_on(
     talkers: list[subprocess.Popen[str]], capfd: pytest.CaptureFixture[str]
 ) -> None:

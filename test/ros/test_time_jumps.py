@@ -104,6 +104,7 @@ def test_the_clock_of_one_sensor_alone_stops_odometry_and_is_named(make: Make, w
     assert "clock" not in flight.ins.failures
 
 
+@pytest.mark.slow
 def test_inner_messages_from_the_future_stop_nothing(make: Make, vehicle: SimulatedVehicle) -> None:
     flight = make()
     flight.start()

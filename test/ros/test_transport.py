@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[2]
 SEGMENT = "/dev/shm/fastrtps_"
 
 
+@pytest.mark.slow
 def test_only_nodes_with_images_map_shared_memory(
     domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

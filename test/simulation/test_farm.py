@@ -27,6 +27,7 @@ def farm() -> Farm:
     return new_farm()
 
 
+@pytest.mark.slow
 def test_a_small_window_holds_what_a_large_one_holds_there(farm: Farm) -> None:
     everything, other = farm.solids(WINDOW), new_farm()
     for west, south in itertools.product(np.arange(-200.0, 200.0, 77.0), repeat=2):

@@ -138,6 +138,7 @@ def test_grey_images_are_the_luminance_of_coloured_ones(ground: Ground) -> None:
     np.testing.assert_allclose(colour @ LUMINANCE, grey, atol=1.0)  # texels of both are rounded
 
 
+@pytest.mark.slow
 def test_a_flight_over_objects_is_the_same_in_any_order_and_any_company(ground: Ground) -> None:
     vehicle = simulate_vehicle(dataclasses.replace(FARM, colour=True), 0)
     one, other = RenderedFlight(vehicle, ground), RenderedFlight(vehicle)

@@ -122,6 +122,7 @@ class Even:
         return np.full((y1 - y0, x1 - x0), EVEN_GREY, np.uint8)
 
 
+@pytest.mark.slow
 def test_the_grey_picture_is_the_luminance_of_the_coloured_one(ground: Ground) -> None:
     x, y = window(60.0, 0.2)
     colour, grey = ground.colour(x, y), ground.grey(x, y)

@@ -62,6 +62,7 @@ def fly(flying: Flying, flight, frames: range, kind: str, *, blank: range = rang
         outputs += stage.run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "lost"), [("gyro", range(0)), ("accel", range(0)), ("gyro", GAP)])
 def test_a_step_is_noticed_and_costs_nothing_for_long(flown, begun, kind: str, lost: range) -> None:
     """The position NEES per axis used to be above 100 for the rest of the flight."""

@@ -16,6 +16,7 @@ def warnings_of(outputs: list[FrameOutput]) -> list[str]:
     return [text for output in outputs for text in output.warnings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "late_s"), [(1, 0.01), (2, 0.02), (2, -0.015)])
 def test_the_offset_is_found_in_the_first_second_and_costs_nothing(flown, seed: int, late_s: float) -> None:
     """With seed 2 no track fits a prediction by the stamps, from the second frame on."""
@@ -55,6 +56,7 @@ def test_a_right_clock_is_watched_for_a_second_only_and_nothing_changes(flown, m
         np.testing.assert_array_equal(output.report.pose.T_map_body.t, other.report.pose.T_map_body.t)
 
 
+@pytest.mark.slow
 def test_an_offset_that_is_not_known_yet_keeps_few_frames(flown, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_offset, "KNOWN_S", 0.0)
     flight = flown(1, frames=70, tracked_px=PX)

@@ -67,6 +67,7 @@ def test_what_is_not_judged_when_readings_are_missing_is_trusted(flown, level: b
     assert judge.trusting(f) is f
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_calibration_far_off_does_not_make_the_state_certain_and_wrong(flown, seed: int) -> None:
     """By 1.4 px of 18, five times what a wrong one is expected to be off by."""

@@ -81,6 +81,7 @@ def fly_on(flying: Flight, flight, wrong, frames: range) -> tuple[list[FrameOutp
     return flying[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WRONG)
 def test_an_imu_that_can_not_be_right_is_left_out_within_few_frames(flown, begun, kind: str) -> None:
     """Single flights were 300 m off at a sigma of 10 m."""
@@ -111,6 +112,7 @@ def test_an_imu_that_is_right_again_is_believed_again(flown, begun) -> None:
     assert nees[believed:].mean() <= 1.5
 
 
+@pytest.mark.slow
 def test_a_wrong_rig_or_start_is_no_fault_of_the_imu(flown) -> None:
     flight = flown(311, frames=FRAMES, tracked_px=SIGMA_PX)
     rig = flight.vehicle.rig

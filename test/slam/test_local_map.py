@@ -4,6 +4,7 @@
 import itertools
 
 import numpy as np
+import pytest
 
 from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
 from uav_vslam.geometry.pose import Pose
@@ -41,6 +42,7 @@ def changing_points(stamps_ns: list[int], rng: np.random.Generator) -> list[Ster
     return frames
 
 
+@pytest.mark.slow
 def test_landmarks_that_are_gone_make_room_for_those_that_hover_shows() -> None:
     """None leaves the image in hover. Gone ones that fill it would leave nothing to observe."""
     rng, imu = np.random.default_rng(1), ImuConfig()

@@ -58,6 +58,7 @@ def end_error_m(vehicle: SimulatedVehicle, reports: list[FrameReport]) -> float:
     return float(np.linalg.norm(pose.T_map_body.t - vehicle.true_state(pose.stamp_ns).T_map_body.t))
 
 
+@pytest.mark.slow
 def test_a_loop_closes_over_retained_landmarks(vehicle, increments) -> None:
     frames = observed(vehicle, scatter_landmarks([vehicle], twin_share=0.2))
     kept = fly(vehicle, increments, frames)
@@ -68,6 +69,7 @@ def test_a_loop_closes_over_retained_landmarks(vehicle, increments) -> None:
     assert end_error_m(vehicle, kept) < 0.5 * end_error_m(vehicle, without)
 
 
+@pytest.mark.slow
 def test_a_redetection_offset_is_down_weighted(vehicle, increments) -> None:
     """Each feature of the second visit is 1.4 px off the first visit's track, in both images alike."""
     frames = observed(vehicle, scatter_landmarks([vehicle]))
@@ -83,6 +85,7 @@ def test_a_redetection_offset_is_down_weighted(vehicle, increments) -> None:
     assert size[1] > 1.2 * size[0]
 
 
+@pytest.mark.slow
 def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> None:
     """Two of a few agree, as they may by chance in the gates that half a metre of uncertainty leaves."""
     field = scatter_landmarks([vehicle])

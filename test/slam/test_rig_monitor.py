@@ -44,6 +44,7 @@ def warnings_of(flight: list[FrameReport], rig: RigConfig) -> list[str]:
     return [text for report in flight if (text := monitor.add(report))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "frames"), [(1, LONG), (2, 80)])
 def test_a_correct_rig_raises_no_warning(seed: int, frames: int) -> None:
     flight = reports(seed, RigConfig(), frames=frames)
@@ -61,6 +62,7 @@ def test_a_rig_rotated_by_many_sigmas_is_detected_once(bias_deg: tuple[float, fl
     assert "rig.flexing" in warning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error_px", [0.3, -0.3])
 def test_a_wrong_disparity_is_detected_estimated_and_told_once(error_px: float) -> None:
     flight = reports(3, RigConfig(), frames=LONG, disparity_bias_px=error_px)
@@ -72,6 +74,7 @@ def test_a_wrong_disparity_is_detected_estimated_and_told_once(error_px: float) 
     assert abs(last.mean_px - error_px) < 3.0 * last.sigma_px < 0.3
 
 
+@pytest.mark.slow
 def test_a_calibration_is_not_judged_in_the_first_seconds() -> None:
     flight = reports(3, RigConfig(), **TURNED)
     found = [r.disparity for r in flight if r.disparity]
@@ -80,6 +83,7 @@ def test_a_calibration_is_not_judged_in_the_first_seconds() -> None:
     assert max(abs(one.mean_px) for one in early) < 0.1 * abs(found[-1].mean_px)
 
 
+@pytest.mark.slow
 def test_corrections_of_an_unknown_tilt_are_no_evidence() -> None:
     """The consumer unit's accelerometer knows it to 1.1 degrees until the vehicle turns, after 8 s."""
     flight = reports(6, RigConfig(), start="in_flight", imu="consumer")
@@ -109,6 +113,7 @@ def test_a_disparity_error_of_known_size_is_detected_beyond_it() -> None:
     assert "of 5" in warning
 
 
+@pytest.mark.slow
 def test_a_focal_length_that_is_far_off_is_detected() -> None:
     (warning,) = warnings_of(reports(1, RigConfig(), focal_ratio_bias=0.03), RigConfig())
     assert "of 5" in warning

@@ -69,6 +69,7 @@ def test_a_global_shutter_costs_nothing_and_the_first_frame_of_a_rolling_one_is_
     assert (len(first), first.stamp_ns) == (0, features.stamp_ns)
 
 
+@pytest.mark.slow
 def test_a_known_readout_costs_next_to_nothing(flown) -> None:
     nees = []
     for seed, readout_s in ((1, 0.01), (2, 0.02), (3, -0.015)):
@@ -84,6 +85,7 @@ def test_a_known_readout_costs_next_to_nothing(flown) -> None:
     assert np.mean(nees) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "readout_s"), [(1, 0.003), (2, 0.01), (3, 0.02), (4, 0.02)])
 def test_a_readout_that_is_not_configured_is_measured_and_named(flown, seed: int, readout_s: float) -> None:
     """Even where it leads the filter astray meanwhile."""
@@ -150,6 +152,7 @@ def test_a_flight_that_goes_on_from_a_checkpoint_is_not_flown_again(flown) -> No
     assert not any(output.report.recovery == AGAIN for output in outputs)
 
 
+@pytest.mark.slow
 def test_a_global_shutter_is_not_suspected(flown) -> None:
     for seed in range(1, 9):
         flight = flown(seed, frames=24, tracked_px=PX)
@@ -195,6 +198,7 @@ def test_a_start_in_flight_is_found(flown, seed: int, readout_s: float) -> None:
     assert np.linalg.norm(of_body - truly) < 0.3
 
 
+@pytest.mark.slow
 def test_the_smoothed_flight_uses_the_same_points(flown) -> None:
     flight = flown(5, frames=36, tracked_px=PX, readout_s=-0.02)
     config = flight.tracking_stage(PX, readout_s=-0.02)._config

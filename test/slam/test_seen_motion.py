@@ -4,6 +4,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from fed_stage import feed
 from flown_copy import copy_of
 
@@ -27,6 +28,7 @@ def fly(stage: SlamStage, flight, frames: range, lost: range = range(0)) -> list
     return outputs
 
 
+@pytest.mark.slow
 def test_four_seconds_without_any_motion_cost_little_accuracy_and_no_consistency(flown) -> None:
     """Before tracks showed the motion, single flights were 66 m off at a sigma of 3 m."""
     with_all, without, nees = [], [], []

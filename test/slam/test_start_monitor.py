@@ -96,6 +96,7 @@ def test_after_a_wrong_start_the_estimate_claims_no_more_than_it_knows(flown, wh
     assert flight.errors_and_nees(outputs)[1][20:].mean() < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["vertical velocity", "all velocities", "heading", "tilt"])
 def test_after_a_wrong_start_landmarks_alone_claim_no_more_either(flown, what: str) -> None:
     nees = []
@@ -106,6 +107,7 @@ def test_after_a_wrong_start_landmarks_alone_claim_no_more_either(flown, what: s
     assert np.mean(nees) < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disparity_px", [-0.6, 0.6])
 def test_a_wrong_calibration_that_explains_the_first_frames_is_estimated_and_told(flown, disparity_px: float) -> None:
     flight = flown(2, frames=60, tracked_px=0.05)

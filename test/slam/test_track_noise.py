@@ -117,6 +117,7 @@ def flights(flown, configured_px: float) -> tuple[NDArray[np.float64], NDArray[n
     return np.array(errors), np.array(nees), warnings
 
 
+@pytest.mark.slow
 def test_a_flight_with_noisier_tracks_is_as_good_as_if_that_were_configured(flown) -> None:
     told, _, _ = flights(flown, 0.25)
     errors, nees, warnings = flights(flown, CONFIGURED_PX)

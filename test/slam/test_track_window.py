@@ -119,6 +119,7 @@ def test_every_view_of_a_track_is_used_once(flown, monkeypatch) -> None:
     assert len(backend._filter.past) <= WINDOW
 
 
+@pytest.mark.slow
 def test_tracks_alone_locate_the_vehicle_and_the_covariance_is_honest(flights) -> None:
     errors, nees = [], []
     for flight, reports in flights:
@@ -170,6 +171,7 @@ def test_the_state_and_the_window_stay_bounded(flown) -> None:
     assert sizes[-5:] == [WINDOW] * 5
 
 
+@pytest.mark.slow
 def test_identifiers_of_tracks_that_have_ended_are_forgotten(flown) -> None:
     """Some end just after the full window has used their views, and are in the table no more."""
     flight = flown(1, frames=60, tracked_px=SIGMA_PX / 2)
@@ -182,6 +184,7 @@ def test_identifiers_of_tracks_that_have_ended_are_forgotten(flown) -> None:
     assert most > 5
 
 
+@pytest.mark.slow
 def test_motion_between_poses_that_leave_the_window_is_better_than_between_present_ones(flights) -> None:
     causal, smoothed, nees = [], [], []
     for flight, reports in flights:

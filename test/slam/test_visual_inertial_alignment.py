@@ -142,6 +142,7 @@ def test_without_noise_the_motion_is_found_exactly(speed: float, hover: bool) ->
     assert found.inliers.tolist() == [POINTS] * 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grade", ["adis16480", "consumer"])
 @pytest.mark.parametrize("hover", [False, True])
 def test_the_covariance_is_as_large_as_the_errors(grade: str, hover: bool) -> None:
@@ -154,6 +155,7 @@ def test_the_covariance_is_as_large_as_the_errors(grade: str, hover: bool) -> No
     assert gravity < BAND[1]  # its norm is more certain than the modelled 0.03 m/s^2
 
 
+@pytest.mark.slow
 def test_a_noisy_inertial_unit_is_not_trusted_over_a_long_window() -> None:
     """Its noise moves the last frame by decimetres, a hundred times the pixels' accuracy in a hover at 70 m."""
     noisy = ImuConfig(gyro_noise=2e-3, accel_noise=0.1)

@@ -15,6 +15,8 @@ from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.saved_map import MapSection, SavedMap
 from uav_vslam.vision.matching.nn_ratio import squared_distances
 
+pytestmark = pytest.mark.slow
+
 SEEDS = (1, 2, 3)
 FRAMES = 48
 

@@ -129,6 +129,7 @@ def _moved(features: StereoFeatures, rows: np.ndarray, shift_px: float) -> Stere
     return dataclasses.replace(features, pixels=pixels)
 
 
+@pytest.mark.slow
 def test_a_landmark_seen_again_ties_the_end_to_the_start() -> None:
     vehicle, seen = simulated_circuit()
     closed = smoothed(vehicle, seen)
@@ -145,6 +146,7 @@ def test_a_landmark_seen_again_ties_the_end_to_the_start() -> None:
     assert scores.position[-1] < chi_square_band(1, probability=0.999)[1]
 
 
+@pytest.mark.slow
 def test_some_landmarks_recognised_wrongly_do_not_bend_the_loop() -> None:
     vehicle, seen = simulated_circuit()
     half, shared = len(seen) // 2, {int(identity) for _, ids in seen[:20] for identity in ids[ids >= 0]}
@@ -171,6 +173,7 @@ def abs_end(found: Trajectory, truth: Trajectory) -> float:
     return float(np.linalg.norm(found.positions[-1] - truth.positions[-1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "known"),
     [
@@ -227,6 +230,7 @@ def test_without_features_it_is_dead_reckoning_with_its_covariance() -> None:
         assert np.abs((estimate.covariance - P) / scale).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_flight_is_consistent_over_seeds() -> None:
     seeds = range(201, 221)
     first, last = [], []

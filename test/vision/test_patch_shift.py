@@ -46,5 +46,6 @@ def test_patches_are_left_as_they_are() -> None:
     np.testing.assert_array_equal(second, before[1])
 
 
+@pytest.mark.slow
 def test_patches_of_different_places_have_no_shift() -> None:
     assert patch_shift(patch((0.0, 0.0)), patch((0.0, 0.0), seed=2)) is None

@@ -31,6 +31,7 @@ def _remembered() -> Iterator[None]:
         yield
 
 
+@pytest.mark.slow
 def test_wrong_matches_are_rare_and_correct_ones_many(scene):
     every = dataclasses.replace(CONFIG, max_matches=CONFIG.max_features)
     features = StereoFrontend(scene.rig, every).process(scene.frame)

@@ -137,6 +137,7 @@ def imported(euroc_mav0: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_a_real_sequence_is_imported_completely(imported: Path, euroc_mav0: Path) -> None:
     flight = open_flight(imported, "uav1")

@@ -82,6 +82,7 @@ def whole(flight: Flight, folder: Path, tmp_path_factory: pytest.TempPathFactory
     return Imported(scratch / "out", scratch / "out.yaml", found, out.getvalue(), err.getvalue())
 
 
+@pytest.mark.slow
 def test_the_flight_comes_back(flight: Flight, whole: Imported) -> None:
     found = whole.flight
     assert "warning" not in whole.err

@@ -91,6 +91,7 @@ def assert_true_motion(found: BagFlight, true: Flight, *, origin: np.ndarray | N
     np.testing.assert_allclose(state.state.v_map, start.v_map, atol=VELOCITY)
 
 
+@pytest.mark.slow
 def test_a_tumvi_sequence_comes_back(fisheye: Flight, tumvi: Path, tmp_path: Path) -> None:
     found = imported("tumvi", tumvi, out=tmp_path / "out")
     assert_same_rig(found.rig, fisheye.vehicle.rig)
@@ -141,6 +142,7 @@ def test_calibration_files_that_are_not_there_or_too_little_are_named(
     assert "--calibration" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_kitti_sequence_with_its_raw_drive_comes_back(
     rectified: Flight, kitti: tuple[Path, Path], tmp_path: Path
 ) -> None:

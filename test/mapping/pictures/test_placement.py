@@ -129,6 +129,7 @@ def test_three_positions_give_a_scale_but_can_t_be_checked(flown: tuple[Array, A
         assert height == pytest.approx(HEIGHT_M, rel=0.1)
 
 
+@pytest.mark.slow
 def test_four_positions_are_checked(flown: tuple[Array, Adjusted]) -> None:
     _, placement = placed(flown[1], only(gps(flown[0]), 4))
     assert placement.checked
@@ -192,6 +193,7 @@ def test_altitudes_that_drift_leave_the_positions_in_the_plane_to_be_used(flown:
     assert height_m == pytest.approx(HEIGHT_M, rel=0.02)
 
 
+@pytest.mark.slow
 def test_one_altitude_for_all_pictures_does_not_tilt_the_ground(flown: tuple[Array, Adjusted]) -> None:
     """Pictures that rise by 6 m were laid level, and the ground fell by as much."""
     scene, tracks = flown[1].scene, flown[1].tracks

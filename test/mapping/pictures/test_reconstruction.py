@@ -67,6 +67,7 @@ def local_errors(found: Reconstruction, truth: Array) -> Array:
     return np.asarray(from_geodetic(geodetic, DATUM) - truth)
 
 
+@pytest.mark.slow
 def test_poses_are_recovered_up_to_a_similarity(alone: Reconstruction) -> None:
     assert alone.adjusted.used.tolist() == list(range(len(HILLY.poses)))
     assert similarity_errors(alone.adjusted.scene.centres, HILLY.centres).max() < CENTRE_M
@@ -80,6 +81,7 @@ def test_relief_and_tilt_calibrate_the_focal_length(alone: Reconstruction) -> No
     assert not any("focal length" in text for text in alone.warnings)
 
 
+@pytest.mark.slow
 def test_a_principal_point_off_the_centre_is_found(tmp_path: Path) -> None:
     camera = replace(HILLY.camera, cx=HILLY.camera.cx + 2.5, cy=HILLY.camera.cy - 2.0)
     found = reconstruct(*matched(replace(HILLY, camera=camera), tmp_path))

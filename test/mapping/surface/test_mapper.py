@@ -105,6 +105,7 @@ def test_views_without_motion_or_texture_map_nothing() -> None:
     assert mapped([])[1].pairs == 0
 
 
+@pytest.mark.slow
 def test_a_slow_flight_is_mapped_like_a_fast_one() -> None:
     """Of 10 cm from frame to frame: `MOST_VIEWS` in a row are less than half a baseline long."""
     mapper = SurfaceMapper(HeightGrid(1.0), SETTINGS)

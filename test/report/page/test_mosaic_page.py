@@ -53,6 +53,7 @@ def mosaic(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_page_shows_picture_quality_and_what_was_left_out(mosaic: Path) -> None:
     page = write_page([mosaic])
     content = page.read_text(encoding="utf-8")

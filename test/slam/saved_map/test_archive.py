@@ -5,6 +5,7 @@ import dataclasses
 from collections import Counter
 
 import numpy as np
+import pytest
 
 from uav_vslam.config import RigConfig
 from uav_vslam.slam.saved_map.archive import LEFT_FOR_SECTION, MIN_OBSERVATIONS, SECTION_LANDMARKS, MapArchive
@@ -25,6 +26,7 @@ def test_every_landmark_that_was_in_the_filter_long_enough_is_kept_once(mapped) 
     assert len(kept) > 2 * SECTION_LANDMARKS
 
 
+@pytest.mark.slow
 def test_positions_err_as_the_covariance_of_their_section_says(mapped) -> None:
     joint, single = [], []
     for seed in SEEDS:
@@ -39,6 +41,7 @@ def test_positions_err_as_the_covariance_of_their_section_says(mapped) -> None:
     assert 0.2 < np.mean(single) < 1.2
 
 
+@pytest.mark.slow
 def test_drift_is_in_the_common_error_of_a_section_and_not_in_each_landmark_s_own(mapped) -> None:
     trusted = RigConfig(miscalibrated_probability=0.0)  # doubt about depths is each landmark's own
     flight = mapped(1, frames=80, rig=trusted)

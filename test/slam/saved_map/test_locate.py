@@ -34,6 +34,7 @@ def error_of(flight, frame: int, T_map_body) -> np.ndarray:
     return np.concatenate([true.t - T_map_body.t, so3_log(true.R @ T_map_body.R.T)])
 
 
+@pytest.mark.slow
 def test_the_pose_errs_as_its_covariance_says(mapped) -> None:
     values, sigma_m = [], []
     for seed in SEEDS:

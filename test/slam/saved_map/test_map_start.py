@@ -26,6 +26,8 @@ from uav_vslam.slam.saved_map import load_map, save_map
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import NS_PER_S
 
+pytestmark = pytest.mark.slow
+
 SEEDS = (1, 2, 3)
 
 

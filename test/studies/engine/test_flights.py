@@ -12,6 +12,8 @@ from uav_vslam.studies.engine.flight_rows import flight_rows, fly_all, method_ro
 from uav_vslam.studies.engine.flights import TRACKS, Method, NeesCurve, Outcome, with_backend
 from uav_vslam.studies.engine.score_columns import COLUMN_OF
 
+pytestmark = pytest.mark.slow
+
 SHORT = Scenario(frames=25)
 FIELDS = {
     "method",

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.scenario import Scenario
@@ -11,6 +12,7 @@ from uav_vslam.studies.engine.kept_flights import kept_flights
 SCENARIO = Scenario(seed=2, frames=8, scale=0.5, vehicles=1)
 
 
+@pytest.mark.slow
 def test_features_found_beforehand_give_the_poses_of_the_pipeline_and_each_image_its_view() -> None:
     (flight,) = kept_flights(SCENARIO, ground_of(SCENARIO))
     config = kagaru_configs({"": {}})[""]

@@ -61,6 +61,7 @@ def without(frame, identity: int):
     ), identities[keep]
 
 
+@pytest.mark.slow
 def test_the_batch_optimum_errs_as_much_as_it_says() -> None:
     seeds = 12
     position, rotation = [], []

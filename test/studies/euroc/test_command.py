@@ -72,6 +72,7 @@ def test_a_bag_is_flown_from_every_start_and_drawn(
     assert picture.std() > 5
 
 
+@pytest.mark.slow
 def test_an_asl_folder_is_taken_as_it_is(mav0: Path, tmp_path: Path) -> None:
     tree = study(mav0, tmp_path)
     assert [row["condition"] for row in tree["rows"][1:]] == STARTS

@@ -32,6 +32,7 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_folder_and_a_pair_leave_tables_and_pictures(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -70,6 +71,7 @@ def test_images_that_do_not_match_leave_rows_without_matches(
     assert "too few images match" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_one_pair_of_the_thesiss_images(data_root: Path, tmp_path: Path) -> None:
     camp = data_root / "tno_nato_camp/visual"

@@ -2,6 +2,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from uav_vslam.studies.features.match_picture import MOST_LINES, match_picture, save_match_picture
 from uav_vslam.studies.features.plot import draw_features, places_plot, spacing_plot, threshold_plot
@@ -36,6 +37,7 @@ RATIOS = [
 ]
 
 
+@pytest.mark.slow
 def test_each_table_is_drawn_if_it_has_rows(tmp_path: Path) -> None:
     drawn = draw_features({"rows": [*PLACES, *SPACINGS, *RATIOS]}, tmp_path)
     assert {path.name for path in drawn} == {"places.png", "spacing.png", "thresholds.png"}

@@ -9,6 +9,8 @@ from uav_vslam.studies.engine.association_stages import STAGES, UNKNOWN_FRAME
 from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only
 from uav_vslam.studies.frames.compute import OWN, PEER, TRACKS, run_together
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 36  # five seconds
 
 

@@ -12,6 +12,8 @@ from uav_vslam.studies.engine.fusion_parts import Part, run_parts
 from uav_vslam.studies.engine.fusion_plot import FLEET, fleet_plot
 from uav_vslam.studies.fusion.compute import PARTS
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = (
     Setting("all"),
     Setting("narrow", {"mode": "narrowband"}),

@@ -7,6 +7,8 @@ import pytest
 from uav_vslam.studies.engine.study import Findings
 from uav_vslam.studies.map_reuse.compute import ALONE, NOTES, SETTINGS, WITH_MAP, Flight, Job, run_seed, study_rows
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 36
 
 

@@ -107,6 +107,7 @@ def test_a_board_leaves_large_errors_that_make_up_for_each_other():
     assert np.sqrt(np.mean(np.square(disparities))) < 0.15
 
 
+@pytest.mark.slow
 def test_a_calibration_belongs_to_its_seed():
     first, again, other = (errors_of(seed)[BOARD].applied(RIG) for seed in (1, 1, 2))
     assert again.left.fx == pytest.approx(first.left.fx, rel=1e-8)  # OpenCV sums in any order

@@ -14,6 +14,8 @@ from uav_vslam.studies.perturbed import compute
 from uav_vslam.studies.perturbed.calibration import CONDITIONS, EXACT
 from uav_vslam.studies.perturbed.compute import LANDMARKS, RENDERED, fly_seed, run_study
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 25
 CONFIGS = kagaru_configs({"fixed": {}})
 BASELINE = next(name for name in CONDITIONS if name.startswith("baseline"))
@@ -55,7 +57,6 @@ def test_a_time_offset_shows_the_world_of_before_under_the_told_stamps(scenario)
         np.testing.assert_array_equal(frame.pixels, features.pixels)
 
 
-@pytest.mark.slow
 def test_both_levels_have_a_row_and_a_curve_for_each_condition():
     rows, series = run_study(CONFIGS, {LANDMARKS: [1, 2], RENDERED: [1]}, frames=2, workers=1)
     labels = [(row["table"], row["condition"]) for row in rows]

@@ -36,5 +36,6 @@ def test_each_condition_has_a_mark_of_each_method_and_its_interval(tree):
     assert [label.get_text() for label in ratio.get_yticklabels()] == [EXACT, ALL]
 
 
+@pytest.mark.slow
 def test_costs_and_a_picture_of_nees_over_time_of_each_level_are_drawn(tree, drawn):
     assert drawn(draw_perturbed, tree) == ["perturbed.png", "nees_landmark_level.png", "nees_rendered_images.png"]

@@ -12,6 +12,8 @@ from uav_vslam.studies.engine.variants import CALIBRATIONS
 from uav_vslam.studies.rig.compute import RIGID, conditions, run_study
 from uav_vslam.vision.stereo_points import StereoFrontend
 
+pytestmark = pytest.mark.slow
+
 TINY = Scenario(frames=3, vehicles=1, scale=0.25)
 SIFT = {"frontend.method": "sift"}  # which looks without regard to the rig, so that both methods can share what it saw
 CONFIGS = {name: load_vehicle(None, overrides=keys | SIFT) for name, keys in CALIBRATIONS.items()}

@@ -25,6 +25,8 @@ from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.studies.split.compute import C_SLAM, INS, METHODS, S_SLAM, Outcome, run_starts, searched_legs
 from uav_vslam.studies.split.rows import error_rows, failure_note, series_of
 
+pytestmark = pytest.mark.slow
+
 LEGS = CutOptions(legs_s=((0.0, 1.5), (1.6, 3.2)))
 CONFIG = load_vehicle(find_config("kagaru"), overrides={"fusion.epoch_s": 0.3})  # several packets in a leg
 
@@ -56,7 +58,6 @@ def outcomes(legs: list[RecordedFlight], cut: Cut) -> list[Outcome]:
     return run_starts(legs, cut, CONFIG, [1, 2, 3])
 
 
-@pytest.mark.slow
 def test_a_leg_flies_as_the_bag_of_the_cut(
     flight: BagFlight, cut: Cut, outcomes: list[Outcome], tmp_path: Path
 ) -> None:
@@ -141,7 +142,6 @@ def test_a_run_that_diverges_everywhere_still_has_a_table(legs: list[RecordedFli
     assert all(row["ate_rms_m"] is None for row in rows)
 
 
-@pytest.mark.slow
 def test_the_study_leaves_its_table_and_picture(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--config", "kagaru", "--legs", "0-1.5,1.6-3.2", "--seeds", "2", "--workers", "1"]
     assert main(["study", "split", str(bag), *arguments, "--results", str(tmp_path)]) == 0

@@ -39,6 +39,7 @@ def test_flights_that_never_settle_are_not_counted_as_settled() -> None:
     assert _pooled([], 3)["nees_position"] is None
 
 
+@pytest.mark.slow
 def test_the_study_has_a_row_for_each_unit_and_each_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
     two = {what: WRONGS[what] for what in ("nothing", "velocity up")}
     monkeypatch.setattr(in_flight, "WRONGS", two)

@@ -9,6 +9,8 @@ from uav_vslam.studies.engine.columns import COLUMNS
 from uav_vslam.studies.engine.study import Findings
 from uav_vslam.studies.thesis import STUDY
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found() -> Findings:

@@ -80,6 +80,7 @@ def test_tracks_do_not_drift(flight: Flown) -> None:
     np.testing.assert_array_equal(first.descriptors[rows], later[3].descriptors[same])
 
 
+@pytest.mark.slow
 def test_tracks_that_leave_the_image_in_a_long_gap_do_not_mislead_the_others() -> None:
     drifts = []
     for seed in (1, 2, 3, 4):
