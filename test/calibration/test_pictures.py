@@ -11,7 +11,7 @@ from uav_vslam.calibration.pictures import FilePictures, paired, pictures_of
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import encode
 from uav_vslam.datasets.message_builders import compressed_image_message, image_message
-from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.errors import BagError, CalibrationError, UavVslamError
 
 TOPICS = ("/uav1/left/image_raw", "/uav1/right/image_raw")
 
@@ -155,6 +155,28 @@ def test_images_of_a_recording_are_paired_and_thinned(given: tuple[str, str] | N
     read = [(name, int(left[0, 0]), int(right[0, 0])) for name, left, right in result]
     assert read == [(f"{0.3 * k:.3f}", 3 * k, 3 * k) for k in range(4)]
     assert len(result) == 4
+
+
+def test_pictures_that_can_not_be_read_come_as_the_reason(tmp_path: Path) -> None:
+    left, right = (pictures(tmp_path, *(f"{side}{k}.png" for k in range(3))) for side in ("left", "right"))
+    right[1].write_bytes(b"no picture")
+    read = list(paired(left, right))
+    assert [name for name, *both in read if not any(isinstance(one, UavVslamError) for one in both)] == ["0", "2"]
+    assert str(read[1][2]) == f"{right[1]} can't be read as an image"
+
+
+def test_images_of_a_recording_that_can_not_be_read_come_as_the_reason(tmp_path: Path) -> None:
+    bag, numbers = tmp_path / "bag", iter(range(12))
+    with RawRecorder(bag) as recorder:
+        for k in range(4):
+            for topic in TOPICS:
+                built = image_message(k * 100_000_000, "", image(k))
+                data = {2: encode(built)[:40], 5: b"\0\1\0\0"}.get(next(numbers), encode(built))
+                recorder.write(topic, built.__msgtype__, data, k * 100_000_000)
+    read = [(name, *map(str, both)) for name, *both in pictures_of([str(bag)], topics=TOPICS, most=99)]
+    assert [name for name, *_ in read] == ["0.000", "0.100", "0.200", "0.300"]
+    assert "not a valid sensor_msgs/msg/Image" in read[1][1]
+    assert read[2][1:] == ("a message of 4 bytes has no header; record the topic again",) * 2
 
 
 def test_a_recording_of_other_topics_or_several_vehicles_is_told_with_its_topics(tmp_path: Path) -> None:

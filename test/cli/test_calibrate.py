@@ -127,6 +127,39 @@ def test_a_recording_of_the_pictures_gives_the_same_cameras(
 
 
 @pytest.mark.slow
+def test_pictures_that_can_not_be_read_are_left_out_and_told(
+    chessboard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for picture in chessboard.glob("*.png"):
+        (tmp_path / picture.name).symlink_to(picture)
+    (tmp_path / "right05.png").unlink()
+    (tmp_path / "right05.png").write_bytes(b"no picture")
+    options = [*BOARDS["chessboard"][1], "--results", str(tmp_path / "results"), "--no-plots"]
+    assert main(["calibrate", str(tmp_path), *options]) == 0
+    said = capsys.readouterr().out
+    assert f"{PAIRS - 1} pairs used, 1 rejected" in said
+    assert f"rejected 05: {tmp_path / 'right05.png'} can't be read as an image" in said
+
+
+@pytest.mark.slow
+def test_a_damaged_recording_is_calibrated_from_up_to_the_damage(
+    chessboard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (bag,) = recorded(chessboard, tmp_path / "bag").glob("*.mcap")
+    cut, arguments = tmp_path / "cut.mcap", [*BOARDS["chessboard"][1], "--results", str(tmp_path), "--no-plots"]
+    topics = ["--topics", "/uav3/left/image_raw", "/uav3/right/image_raw"]
+    cut.write_bytes(bag.read_bytes()[: bag.stat().st_size * 5 // 6])
+    assert main(["calibrate", str(cut), *topics, *arguments]) == 2
+    said = capsys.readouterr()
+    assert 8 <= json.loads((tmp_path / "latest" / "summary.json").read_text())["pairs_used"] < PAIRS
+    assert said.err.startswith(f"uav-vslam: calibrated up to a break: bag {cut} is damaged")
+    cut.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
+    line = refused(capsys, cut, *topics, *arguments)
+    assert "8 are needed; take more pictures; bag" in line
+    assert "cut.mcap is damaged" in line
+
+
+@pytest.mark.slow
 def test_a_wrong_board_is_told_with_the_right_one(
     chessboard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -174,3 +207,14 @@ def test_real_pictures_are_calibrated_to_a_fifth_of_a_pixel_and_both_halves_agre
 def test_a_square_in_millimetres_is_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, tmp_path, "--board", "8x5", "--square", "30")
     assert "--square 30 is in metres; if millimetres, give 0.03" in line
+
+
+@pytest.mark.parametrize("value", ["inf", "nan", "0", "-0.03", "wide"])
+@pytest.mark.parametrize("option", ["--square", "--marker"])
+def test_a_side_that_is_no_length_is_refused(
+    option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", str(tmp_path), "--board", "8x5", f"{option}={value}"])
+    assert ended.value.code == 2
+    assert f"argument {option}: {value!r} is not a length in metres above 0" in capsys.readouterr().err

@@ -2,26 +2,28 @@
 """Image pairs of a calibration board: from files, a folder or a recording."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.calibration.procedure import Picture
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TYPES, vehicles
-from uav_vslam.datasets.cdr import decode
+from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.image_sets import SUFFIXES, read_image
-from uav_vslam.datasets.messages import image_of, stamp_ns_of
+from uav_vslam.datasets.messages import header_stamp_ns, image_of
 from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.datasets.stereo_sync import StereoPairer
-from uav_vslam.errors import CalibrationError
+from uav_vslam.errors import BagError, CalibrationError, UavVslamError
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.vision.images import to_grey8
 
-Image = NDArray[np.uint8]
+Source = TypeVar("Source")
 
 SIDE_FOLDERS = (("left", "right"), ("cam0", "cam1"), ("cam0/data", "cam1/data"), ("image_0", "image_1"))
 # What names a camera in the name of a file; the rest of the name is that of the pair.
@@ -45,10 +47,10 @@ class FilePictures:
     def __len__(self) -> int:
         return len(self.left)
 
-    def __iter__(self) -> Iterator[tuple[str, Image, Image]]:
-        """Yield name, left and right 8-bit grey image of each pair."""
+    def __iter__(self) -> Iterator[tuple[str, Picture, Picture]]:
+        """Yield name, left and right picture of each pair."""
         for name, left, right in zip(self.names, self.left, self.right, strict=True):
-            yield name, to_grey8(read_image(left)), to_grey8(read_image(right))
+            yield name, _picture(read_image, left), _picture(read_image, right)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,18 +72,21 @@ class BagPictures:
     def __len__(self) -> int:
         return -(-self.count // self._every)
 
-    def __iter__(self) -> Iterator[tuple[str, Image, Image]]:
-        """Yield stamp [s], left and right 8-bit grey image of each pair."""
-        pairer: StereoPairer[bytes] = StereoPairer()
+    def __iter__(self) -> Iterator[tuple[str, Picture, Picture]]:
+        """Yield stamp [s], left and right picture of each pair; of a message without a stamp, when it was recorded."""
+        pairer: StereoPairer[RawMessage] = StereoPairer()
         number = 0
         for raw in iter_raw(self.paths, self.topics):
-            built = decode(raw)
             add = pairer.add_left if raw.topic == self.topics[0] else pairer.add_right
-            pair = add(stamp_ns_of(built), built)
+            try:
+                pair = add(header_stamp_ns(raw.data), raw)
+            except BagError as error:
+                yield f"{raw.stamp_ns * 1e-9:.3f}", error, error
+                continue
             if pair is None:
                 continue
             if number % self._every == 0:
-                left, right = (to_grey8(image_of(image)) for image in (pair.left, pair.right))
+                left, right = (_picture(_image_of_raw, image) for image in (pair.left, pair.right))
                 yield f"{pair.stamp_ns * 1e-9:.3f}", left, right
             number += 1
 
@@ -91,6 +96,17 @@ class BagPictures:
 
 
 Pictures = FilePictures | BagPictures
+
+
+def _picture(read: Callable[[Source], NDArray[np.generic]], source: Source) -> Picture:
+    try:
+        return to_grey8(read(source))
+    except UavVslamError as error:
+        return error
+
+
+def _image_of_raw(raw: RawMessage) -> NDArray[np.generic]:
+    return image_of(decode(raw))
 
 
 def pictures_of(inputs: Sequence[str], *, topics: Sequence[str] | None = None, most: int) -> Pictures:

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from uav_vslam.calibration.boards import Board
 from uav_vslam.calibration.bundle import BoardPair
 from uav_vslam.calibration.solve import Lens, StereoSolution, first_rig, reproject, rms, solve
-from uav_vslam.errors import CalibrationError
+from uav_vslam.errors import CalibrationError, UavVslamError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Picture = Image | UavVslamError  # 8-bit grey, or why it can't be read
 
 LEAST_PAIRS = 8  # so that each half has four: a plane needs three views, and one more shows an error
 OUTLIER = 3.0  # times the median reprojection error of the pairs; noise alone scatters it by a few per cent
@@ -95,12 +96,12 @@ class StereoCalibration:
 
 
 def find_boards(
-    pictures: Iterable[tuple[str, Image, Image]], board: Board, *, on_pair: Callable[[], object] = lambda: None
+    pictures: Iterable[tuple[str, Picture, Picture]], board: Board, *, on_pair: Callable[[], object] = lambda: None
 ) -> Boards:
     """Find the board in all pictures.
 
     Args:
-        pictures: name, left and right image of each pair.
+        pictures: name, left and right image of each pair; pairs of which one can't be read are rejected.
         board: to look for.
         on_pair: called after each pair.
 
@@ -109,9 +110,16 @@ def find_boards(
     """
     pairs: list[BoardPair] = []
     rejected: list[Rejected] = []
+    unread: list[str] = []
     other_sizes: list[tuple[int, int]] = []
     size: tuple[int, int] | None = None
-    for name, *images in pictures:
+    for name, *both in pictures:
+        if reasons := dict.fromkeys(str(image) for image in both if isinstance(image, UavVslamError)):
+            unread.append("; ".join(reasons))
+            rejected.append(Rejected(name, unread[-1]))
+            on_pair()
+            continue
+        images = [image for image in both if not isinstance(image, UavVslamError)]
         size = size or images[0].shape[::-1]
         _check_sizes(name, images, size)
         left, right = (board.detect(image) for image in images)
@@ -127,7 +135,7 @@ def find_boards(
             pairs.append(BoardPair(name, left, board.like(right, left)))
         on_pair()
     if size is None or len(pairs) < LEAST_PAIRS:
-        raise CalibrationError(_too_few(pairs, rejected, board, other_sizes))
+        raise CalibrationError(_too_few(pairs, rejected, unread, board, other_sizes))
     return Boards(pairs, rejected, size)
 
 
@@ -248,13 +256,19 @@ def _check_sizes(name: str, images: Sequence[Image], size: tuple[int, int]) -> N
 
 
 def _too_few(
-    pairs: Sequence[BoardPair], rejected: Sequence[Rejected], board: Board, other_sizes: Sequence[tuple[int, int]]
+    pairs: Sequence[BoardPair],
+    rejected: Sequence[Rejected],
+    unread: Sequence[str],
+    board: Board,
+    other_sizes: Sequence[tuple[int, int]],
 ) -> str:
     count = len(pairs) + len(rejected)
     size = max(board.columns, board.rows), min(board.columns, board.rows)
     text = f"{len(pairs)} of {count} pairs show the {size[0]}x{size[1]} board in both images; {LEAST_PAIRS} are needed"
     other = [found for found in other_sizes if found != size]
-    if not rejected:
+    if unread:
+        text = f"{text}; {len(unread)} can't be read, the first: {unread[0]}"
+    if len(rejected) == len(unread):
         return f"{text}; take more pictures"
     likely = max(set(other), key=other.count, default=size)
     if pairs or other.count(likely) < LEAST_PAIRS:  # a few may be mistaken

@@ -46,9 +46,14 @@ def clock_offset_s(text: str) -> float:
     return offset
 
 
+def length_m(text: str) -> float:
+    """Return a length above zero [m]."""
+    return _above_zero(text, "a length in metres above 0")
+
+
 def lengths_m(text: str) -> tuple[float, ...]:
     """Return lengths above zero [m], separated by commas."""
-    return tuple(_above_zero(part, "a length in metres above 0") for part in text.split(","))
+    return tuple(map(length_m, text.split(",")))
 
 
 def positive_number(text: str) -> float:

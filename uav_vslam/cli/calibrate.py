@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import add_results, positive
+from uav_vslam.cli.arguments import add_results, length_m, positive
 from uav_vslam.cli.messages import warn_each
 from uav_vslam.cli.progress import progress_bar
 
@@ -40,10 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--board", type=_size, required=True, metavar="CxR", help="inner corners, as 9x6")
     parser.add_argument(
-        "--square", type=float, required=True, metavar="M", help="side of a square [m]; it scales the baseline"
+        "--square", type=length_m, required=True, metavar="M", help="side of a square [m]; it scales the baseline"
     )
     parser.add_argument("--charuco", metavar="DICT", help="the board is a ChArUco one of this dictionary: DICT_5X5_100")
-    parser.add_argument("--marker", type=float, metavar="M", help="side of a ChArUco marker [m]")
+    parser.add_argument("--marker", type=length_m, metavar="M", help="side of a ChArUco marker [m]")
     parser.add_argument("--legacy", action="store_true", help="ChArUco board drawn by OpenCV before 4.6")
     parser.add_argument("--model", choices=list(FIXED), default="plumb_bob", help="of the lenses (default plumb_bob)")
     parser.add_argument(
@@ -64,13 +65,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate, write, print; return the exit status."""
+    """Calibrate, write, print; return 2 if a bag is damaged, after calibrating from what can be read."""
     import cv2
 
     from uav_vslam.calibration.files import write_calibration
     from uav_vslam.calibration.procedure import calibrate, find_boards
     from uav_vslam.calibration.solve import Lens
     from uav_vslam.calibration.summary import build_summary
+    from uav_vslam.datasets.rosbag import UpToDamage
+    from uav_vslam.errors import CalibrationError
     from uav_vslam.evaluation.files.writing import write_json
     from uav_vslam.evaluation.output import new_folder
     from uav_vslam.evaluation.revision import git_revision
@@ -80,8 +83,12 @@ def run(args: argparse.Namespace) -> int:
     cv2.setNumThreads(1)
     board, lens = _board(args), Lens(args.model, tuple(FIXED[args.model] if args.fix is None else args.fix))
     pictures = _pictures(args)
+    read = UpToDamage(pictures)
     with progress_bar("finding boards", len(pictures)) as advance:
-        boards = find_boards(pictures, board, on_pair=advance)
+        try:
+            boards = find_boards(read, board, on_pair=advance)
+        except CalibrationError as error:
+            raise CalibrationError(f"{error}; {read.error}" if read.error else str(error)) from None
     found = calibrate(boards, lens)
     name = args.name or _name(args.inputs[0])
     summary = build_summary(found, board, name=name, git=git_revision())
@@ -94,7 +101,9 @@ def run(args: argparse.Namespace) -> int:
     print(f"results: {folder}")
     print(f"use it:  input: {{calibration: [{', '.join(str(file.resolve()) for file in files[:2])}]}}")
     warn_each(found.warnings)
-    return 0
+    if read.error:
+        print(f"uav-vslam: calibrated up to a break: {read.error}", file=sys.stderr)
+    return 2 if read.error else 0
 
 
 def _pictures(args: argparse.Namespace) -> Pictures:

@@ -65,7 +65,10 @@ def read_image(path: Path) -> Image:
     Raises:
         ConfigError: it can't be read.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    except cv2.error:  # of a size beyond OpenCV's limits
+        image = None
     if image is None:
         raise ConfigError(f"{path} can't be read as an image")
     return np.asarray(image)

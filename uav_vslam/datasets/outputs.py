@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.messages import TRUTH_TYPES, stamp_ns_of, truth_of
-from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, topics_of
 from uav_vslam.datasets.truth import left_out_text, unread_text
 from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.types import FrameQuality, LinkEpoch, PoseEstimate
@@ -119,7 +119,7 @@ def read_outputs(
     for name in names:
         if f"/{name}/{FRAMES}" in topics:
             outputs[name].frames_in = topics[f"/{name}/{FRAMES}"].count
-    messages, left_out = _Readable(iter_raw(paths, _wanted(names))), Counter[str]()
+    messages, left_out = UpToDamage(iter_raw(paths, _wanted(names))), Counter[str]()
     for raw in messages:
         _, name, ending = raw.topic.split("/", 2)
         if ending != TRUTH:
@@ -162,20 +162,6 @@ def _check_passes(name: str, recorded: RecordedOutputs) -> None:
             f"/{name}/odometry holds most stamps {max(times.values())} times: several passes of a recording, as with "
             "a looped bag, or several runs; record each into a bag of its own, and evaluate them one by one"
         )
-
-
-class _Readable:
-    """The messages before the damage, and the error that it raised."""
-
-    def __init__(self, messages: Iterator[RawMessage]) -> None:
-        self._messages = messages
-        self.error: BagError | None = None
-
-    def __iter__(self) -> Iterator[RawMessage]:
-        try:
-            yield from self._messages
-        except BagError as error:
-            self.error = error
 
 
 def _store(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:

@@ -6,10 +6,11 @@ A damaged recording (its writer was killed, or the file is truncated) is read up
 
 import heapq
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2.reader import DirectoryReader
@@ -20,6 +21,8 @@ from uav_vslam.datasets.cdr import RawMessage, encode, typestore
 from uav_vslam.datasets.compressed_bag import compressed_files, given_as, unpacked
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError, one_line
+
+Item = TypeVar("Item")
 
 STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -69,6 +72,20 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
     wanted = None if topics is None else frozenset(topics)
     streams = [_messages_of_file(file, wanted) for file in _files(paths)]
     yield from heapq.merge(*streams, key=lambda raw: raw.stamp_ns)
+
+
+class UpToDamage(Generic[Item]):
+    """What is read of bags before their damage, and the error that it raised."""
+
+    def __init__(self, items: Iterable[Item]) -> None:
+        self._items = items
+        self.error: BagError | None = None
+
+    def __iter__(self) -> Iterator[Item]:
+        try:
+            yield from self._items
+        except BagError as error:
+            self.error = error
 
 
 def iter_readable(paths: Sequence[Path], topics: Sequence[str]) -> Iterator[RawMessage]:
