@@ -86,3 +86,10 @@ def test_estimates_make_the_same_trajectory_again(covariance):
     np.testing.assert_array_equal(again.positions, whole.positions)
     np.testing.assert_allclose(again.rotations, whole.rotations, atol=1e-12)
     np.testing.assert_array_equal(again.covariance, np.zeros((5, 6, 6)) if covariance is None else covariance)
+
+
+def test_a_pose_at_the_wanted_stamp_is_taken_as_it_is(truth):
+    found, rows = interpolate(truth, truth.stamps_ns[1:], max_gap_s=10.0)
+    np.testing.assert_array_equal(rows, np.arange(len(truth) - 1))
+    np.testing.assert_array_equal(found.quaternions_wxyz, truth.quaternions_wxyz[1:])
+    np.testing.assert_array_equal(found.positions, truth.positions[1:])

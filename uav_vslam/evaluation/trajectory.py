@@ -111,7 +111,9 @@ def interpolate(
     span = np.maximum(known[after] - known[before], 1)
     fraction = ((wanted - known[before]) / span)[:, None]
     positions = (1.0 - fraction) * trajectory.positions[before] + fraction * trajectory.positions[after]
-    quaternions = _slerp(trajectory.quaternions_wxyz[before], trajectory.quaternions_wxyz[after], fraction)
+    quaternions, between = trajectory.quaternions_wxyz[after], before < after  # elsewhere the pose itself is wanted
+    start = trajectory.quaternions_wxyz[before[between]]
+    quaternions[between] = _slerp(start, quaternions[between], fraction[between])
     return Trajectory(wanted, positions, quaternions), rows
 
 
