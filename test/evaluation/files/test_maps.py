@@ -10,6 +10,7 @@ import pytest
 from uav_vslam.errors import ConfigError
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
 from uav_vslam.evaluation.files.maps import KML, write_geojson, write_kml
+from uav_vslam.evaluation.trajectory import Trajectory
 
 KAGARU = Datum(-28.2325, 153.0012, 20.0)
 DEGREE_NORTH_M = 110_791.0  # of latitude at 28.2 degrees: pi/180 a (1 - e^2) / (1 - e^2 sin^2 phi)^1.5
@@ -64,6 +65,30 @@ def test_geojson_holds_a_line_per_track_longitude_first(truth, estimate, tmp_pat
     np.testing.assert_allclose(
         np.array(line["coordinates"])[:, :2], to_geodetic(estimate.positions, KAGARU)[:, :2], atol=1e-9
     )
+
+
+def test_geojson_is_cut_on_the_antimeridian(tmp_path):
+    """Out across it and back, 10 degrees north; 1 km is some 0.009 degrees of longitude."""
+    out_and_back = np.array([[-1000.0, 0, 0], [-500, 0, 0], [1500, 1000, 40], [500, 0, 0], [-500, 0, 0]])
+    track = Trajectory(np.arange(5), out_and_back, np.tile([1.0, 0, 0, 0], (5, 1)))
+    text = write_geojson({"a": track}, tmp_path / "f.geojson", Datum(10.0, 180.0, 0.0)).read_text()
+    line = json.loads(text)["features"][0]["geometry"]
+    assert line["type"] == "MultiLineString"
+    west, east, back = map(np.array, line["coordinates"])
+    assert [len(part) for part in (west, east, back)] == [3, 4, 2]
+    assert [west[-1, 0], east[0, 0], east[-1, 0], back[0, 0]] == [180.0, -180.0, -180.0, 180.0]
+    assert (west[:, 0] > 179).all()
+    assert (east[:, 0] < -179).all()
+    np.testing.assert_array_equal(west[-1, 1:], east[0, 1:])
+    assert west[-1, 1] == pytest.approx(10.0 + 250.0 / DEGREE_NORTH_M, abs=1e-5)  # a quarter of the way
+    assert west[-1, 2] == pytest.approx(10.0, abs=0.1)
+
+
+def test_a_single_pose_is_a_point_of_geojson(truth, tmp_path):
+    text = write_geojson({"a": truth.select(np.array([2]))}, tmp_path / "f.geojson", KAGARU).read_text()
+    point = json.loads(text)["features"][0]["geometry"]
+    assert point["type"] == "Point"
+    np.testing.assert_allclose(point["coordinates"], to_geodetic(truth.positions[2:3], KAGARU)[0], atol=5.1e-4)
 
 
 def test_kml_holds_a_line_per_track_at_absolute_altitude(truth, tmp_path):
