@@ -19,3 +19,16 @@ def test_a_camera_that_ends_early_is_named_whichever_it_is(left: int, right: int
 def test_a_few_images_at_the_ends_need_no_partner() -> None:
     (finding,) = check_pairs(EVEN_NS[1:], EVEN_NS[:-1], 98, tolerance_s=0.0)
     assert finding.severity.value == "ok"
+
+
+@pytest.mark.parametrize("offset_s", [20.0, 1000.0, -1.7e9])
+def test_cameras_of_different_clocks_are_named_and_no_tolerance_is_advised(offset_s: float) -> None:
+    (finding,) = check_pairs(EVEN_NS, EVEN_NS + round(offset_s * 1e9), 0, tolerance_s=0.0)
+    assert finding.severity.value == "error"
+    assert "the cameras' clocks differ" in finding.remedy
+    assert "pair_tolerance_s" not in finding.remedy
+
+
+def test_a_trigger_with_a_constant_delay_is_still_met_with_a_tolerance() -> None:
+    (finding,) = check_pairs(EVEN_NS, EVEN_NS + 40_000_000, 0, tolerance_s=0.0)
+    assert "set input.pair_tolerance_s: 0.048" in finding.remedy

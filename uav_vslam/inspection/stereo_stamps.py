@@ -72,17 +72,20 @@ def check_pairs(left_ns: Stamps, right_ns: Stamps, pair_count: int, *, tolerance
         f"{pair_count} of {len(left_ns)} left and of {len(right_ns)} right images find a partner"
     )
     allowed = f"{tolerance_ms:.3g} ms (input.pair_tolerance_s)"
+    period_s = float(np.median(np.diff(np.unique(left_ns)))) / NS_PER_S if len(left_ns) > 1 else limits.OWN_CLOCK_S
     most = max(len(left_ns), len(right_ns))
     if most - pair_count > max(1.0, limits.UNPAIRED_SHARE * most):
         judge = error if pair_count < limits.UNUSABLE_SHARE * len(left_ns) else warning
-        return [judge("stereo stamps", seen, allowed, _remedy(shape, tolerance_ms))]
+        return [judge("stereo stamps", seen, allowed, _remedy(shape, tolerance_ms, period_s))]
     if abs(shape.median_s) * NS_PER_S > NOTABLE_OFFSET_NS:
         remedy = "they count as simultaneous, which is right for triggered cameras only: else synchronise the cameras"
         return [warning("stereo stamps", seen, f"{NOTABLE_OFFSET_NS / 1e6:g} ms for exact pairs", remedy)]
     return [ok("stereo stamps", seen)]
 
 
-def _remedy(shape: OffsetHistogram, tolerance_ms: float) -> str:
+def _remedy(shape: OffsetHistogram, tolerance_ms: float, period_s: float) -> str:
+    if abs(shape.median_s) > min(period_s, limits.OWN_CLOCK_S):  # no right image is of the time of the left ones
+        return "the cameras' clocks differ, or they were recorded one after the other: stamp both with one clock"
     offset_ms = 1e3 * abs(shape.median_s)
     if offset_ms > tolerance_ms and 1e3 * shape.spread_s < 0.1 * offset_ms:
         wider = f"{1.2 * abs(shape.median_s):.3g}"
