@@ -19,6 +19,7 @@ from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.bag_reader import Reader
 from uav_vslam.datasets.cdr import RawMessage, encode, typestore
 from uav_vslam.datasets.compressed_bag import compressed_files, given_as, unpacked
+from uav_vslam.datasets.foreign_mcap import what_is_foreign
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError, one_line
 
@@ -27,6 +28,7 @@ Item = TypeVar("Item")
 STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 URI = re.compile(r"[#?]|%[0-9a-fA-F]{2}")  # what SQLite, which rosbags gives a URI, takes for more than a name
+FOREIGN_REMEDY = "give one with the profile ros2 and all messages in CDR, as `ros2 bag record -s mcap` writes it"
 DATA_SETS = ("mav0", "cam0", "image_0")  # folders inside of EuRoC's and KITTI's
 
 
@@ -230,6 +232,9 @@ def _open(file: Path, stack: ExitStack) -> Reader:
     try:
         return stack.enter_context(Reader(file))
     except Exception as error:  # yaml, sqlite and struct errors, depending on the damage
+        for mcap in sorted(file.glob("*.mcap")) if file.is_dir() else [file]:
+            if mcap.suffix == ".mcap" and (foreign := what_is_foreign(mcap)):
+                raise BagError(f"{mcap} is not of ROS 2: {foreign}; {FOREIGN_REMEDY}") from None
         raise _damage(file, None, error) from None
 
 
