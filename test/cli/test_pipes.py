@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uav_vslam.cli.main import BROKEN_PIPE
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import encode
 from uav_vslam.datasets.message_builders import truth_message
@@ -19,15 +20,16 @@ from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 
 
-def check_saved_unread(results: Path, *arguments: str) -> None:
-    """Run the command with a standard output that nobody reads; check that it has left a summary."""
+def check_saved_unread(results: Path, *arguments: str, saved: str = "latest/summary.json") -> None:
+    """Run the command with a standard output that nobody reads; check its exit code, and that it has left results."""
     command = [sys.executable, "-m", "uav_vslam.cli.main", *arguments, "--no-plots", "--results", str(results)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     process.stdout.close()
     _, said = process.communicate()
     assert b"Traceback" not in said
-    assert (results / "latest" / "summary.json").is_file(), said.decode()
+    assert len(list(results.glob(saved))) == 1, said.decode()
+    assert process.returncode == BROKEN_PIPE
 
 
 @pytest.mark.slow
@@ -46,6 +48,12 @@ def test_an_evaluation_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None
             data = encode(truth_message(sample, frame_id="map", child_frame_id="base_link"))
             recorder.write("/uav1/odometry", "nav_msgs/msg/Odometry", data, sample.stamp_ns)
     check_saved_unread(results, "evaluate", str(bag))
+
+
+def test_a_comparison_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
+    track, results = tmp_path / "track.tum", tmp_path / "results"
+    track.write_text("".join(f"{0.1 * k} {k} {0.5 * k} 0 0 0 0 1\n" for k in range(20)))
+    check_saved_unread(results, "evaluate", str(track), "--truth", str(track), saved="*/comparison.json")
 
 
 def test_a_terminal_without_a_character_shows_the_rest_of_the_table(tmp_path: Path) -> None:

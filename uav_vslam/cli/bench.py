@@ -55,11 +55,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _print_nodes(seconds: int) -> None:
     """Print what each node costs, and the ratio of its processor time to the bare node's in the same run."""
-    from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
     from rich.text import Text
 
+    from uav_vslam.report.terminal import Terminal
     from uav_vslam.ros.node_cost import IMU_RATES_HZ, NODES, node_costs
 
     table = Table("IMU [Hz]")
@@ -72,12 +72,13 @@ def _print_nodes(seconds: int) -> None:
             figures = (one.cores, one.ratio, one.rate_hz, *(one.latency_ms or (None, None)))
             texts = ("–" if figure is None else f"{figure:.3g}" for figure in figures)
             table.add_row(f"{one.imu_rate_hz or 'at rest'}", one.node, *texts)
-    Console().print(table)
+    Terminal().print(table)
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.table import Table
+
+    from uav_vslam.report.terminal import Terminal
 
     table = Table("Stage", "Condition")
     for heading in ("Time", "Ratio to"):
@@ -88,7 +89,7 @@ def _print(rows: list[dict[str, Any]]) -> None:
         table.add_row(
             row["method"], row["condition"], "\n".join(_figures(row)), f"{row['ratio_to_reference']:.3g}", reference
         )
-    Console().print(table)
+    Terminal().print(table)
 
 
 def _figures(row: dict[str, Any], whose: str = "") -> list[str]:

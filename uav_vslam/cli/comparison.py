@@ -32,9 +32,11 @@ def compare_files(args: argparse.Namespace) -> int:
     name = args.name or "comparison"
     tree = compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
     plot = partial(write_comparison_plot, runs, alignment=args.alignment, title=name)
-    print_comparison(tree)
+    try:
+        print_comparison(tree)  # first: a full disk must not cost it
+    finally:  # nor a reader that has closed the pipe the results
+        folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
     _report_offsets(runs, tree)
-    folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
     print(f"written to {folder}")
     return 0
 

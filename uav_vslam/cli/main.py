@@ -51,7 +51,7 @@ EXAMPLES = """examples:
 Options are given once, but for those whose help says that they may be repeated.
 
 exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (the readable part of a damaged recording is used
-first), 130 interrupted
+first), 130 interrupted, 141 the reader of the output closed the pipe
 """
 FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

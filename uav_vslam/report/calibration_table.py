@@ -9,11 +9,12 @@ from rich.text import Text
 
 from uav_vslam.calibration.summary import Figures
 from uav_vslam.geometry.stereo import SIDES
+from uav_vslam.report.terminal import Terminal
 
 
 def print_calibration(summary: Figures, console: Console | None = None) -> None:
     """Print the tables of a calibration's summary, and one line for each rejected pair and each warning."""
-    console = console or Console()
+    console = console or Terminal()
     console.print(_title(summary), style="bold", markup=False, highlight=False, soft_wrap=True)
     console.print(camera_table(summary))
     console.print(half_table(summary))

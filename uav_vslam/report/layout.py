@@ -11,6 +11,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from uav_vslam.evaluation.scores import DIRECTIONS, RELATIVE_LENGTHS_M, relative_key
+from uav_vslam.report.terminal import Terminal
 
 WIDTH = 120  # where the output is no terminal
 LABEL_WIDTH = 20  # labels are folded to that much before figures go into another table
@@ -44,8 +45,8 @@ def ate_title(alignment: str) -> str:
 
 def wide(console: Console | None = None) -> Console:
     """Return a console that is wide enough for the tables, unless it is a terminal."""
-    console = console or Console()
-    return console if console.is_terminal else Console(file=console.file, width=WIDTH)
+    console = console or Terminal()
+    return console if console.is_terminal else Terminal(file=console.file, width=WIDTH)
 
 
 def new_table(labels: Iterable[str], titles: Iterable[str]) -> Table:

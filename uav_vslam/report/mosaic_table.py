@@ -3,9 +3,10 @@
 
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+from uav_vslam.report.terminal import Terminal
 
 Figures = dict[str, Any]
 
@@ -17,7 +18,7 @@ def print_mosaic(figures: Figures) -> None:
     table.add_column(justify="right")
     for name, value in rows(figures):
         table.add_row(Text(name), Text(value))
-    Console().print(table)
+    Terminal().print(table)
 
 
 def rows(figures: Figures) -> list[tuple[str, str]]:
