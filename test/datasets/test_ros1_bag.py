@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from uav_vslam.config import InputConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
@@ -48,3 +50,14 @@ def test_a_truncated_bag_is_named_with_what_restores_it(ros1_bag: Path, tmp_path
     broken.write_bytes(ros1_bag.read_bytes()[:-5000])
     with pytest.raises(BagError, match=r"broken\.bag is damaged.*restore its index by `rosbag reindex`"):
         topics_of([broken])
+
+
+def test_names_without_a_slash_are_of_no_namespace(tmp_path: Path) -> None:
+    """As `bag.write('imu', reading)` leaves them, which ROS 1 itself never does."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    reading = types.types["std_msgs/msg/Float64"](1.5)
+    with Writer(tmp_path / "relative.bag") as writer:
+        connection = writer.add_connection("imu", "std_msgs/msg/Float64", typestore=types)
+        writer.write(connection, 7, types.serialize_ros1(reading, "std_msgs/msg/Float64"))
+    assert topics_of([tmp_path / "relative.bag"])["/imu"].count == 1
+    assert [raw.stamp_ns for raw in iter_raw([tmp_path / "relative.bag"], ["/imu"])] == [7]

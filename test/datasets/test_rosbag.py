@@ -9,7 +9,7 @@ import yaml
 
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import RawMessage
-from uav_vslam.datasets.rosbag import iter_raw, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, iter_readable, topics_of
 from uav_vslam.errors import BagError
 
 
@@ -31,6 +31,19 @@ def test_several_bags_are_merged_by_stamp(tiny_bag: Path, tmp_path: Path) -> Non
     assert [raw.stamp_ns for raw in merged] == sorted(raw.stamp_ns for raw in merged)
     assert len(merged) == sum(1 for raw in iter_raw([tiny_bag]) if raw.topic.startswith("/uav"))
     assert topics_of(list(parts.values())).keys() == topics_of([tiny_bag]).keys() - {"/tf_static"}
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3", "truncated"])
+def test_names_without_a_slash_are_of_no_namespace(storage: str, tiny_bag: Path, tmp_path: Path) -> None:
+    bag, expected = tmp_path / "bag", list(iter_raw([tiny_bag]))
+    with RawRecorder(bag, storage="sqlite3" if storage == "sqlite3" else "mcap") as recorder:
+        for raw in expected:
+            recorder.write(raw.topic.removeprefix("/"), raw.msgtype, raw.data, raw.stamp_ns)
+    if storage == "truncated":
+        (bag / "bag.mcap").write_bytes((bag / "bag.mcap").read_bytes()[:-1])
+    assert topics_of([bag]).keys() == topics_of([tiny_bag]).keys()
+    imu = [raw.data for raw in iter_readable([bag], ["/uav1/imu/data_raw"])]
+    assert imu == [raw.data for raw in expected if raw.topic == "/uav1/imu/data_raw"]
 
 
 def test_metadata_with_another_qos_than_the_files_lose_no_message(tiny_bag: Path, tmp_path: Path) -> None:

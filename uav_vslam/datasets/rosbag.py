@@ -8,7 +8,7 @@ import heapq
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -166,8 +166,9 @@ def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
         for connection in _connections(reader):
             profiles = getattr(connection.ext, "offered_qos_profiles", [])
             latched = any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in profiles)
-            count = connection.msgcount + (topics[connection.topic].count if connection.topic in topics else 0)
-            topics[connection.topic] = TopicInfo(connection.msgtype, count, latched)
+            topic = _full_name(connection.topic)
+            count = connection.msgcount + (topics[topic].count if topic in topics else 0)
+            topics[topic] = TopicInfo(connection.msgtype, count, latched)
         return topics
 
 
@@ -198,11 +199,16 @@ def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
 def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
     with ExitStack() as stack:
         reader = _open(file, stack)
-        wanted = [c for c in _connections(reader) if topics is None or c.topic in topics]
+        wanted = [c for c in _connections(reader) if topics is None or _full_name(c.topic) in topics]
         if wanted:  # an empty list would mean all
             for connection, stamp_ns, data in reader.messages(wanted):
                 recorded = connection.msgdef.data
-                yield RawMessage(connection.topic, connection.msgtype, stamp_ns, bytes(data), recorded)
+                yield RawMessage(_full_name(connection.topic), connection.msgtype, stamp_ns, bytes(data), recorded)
+
+
+def _full_name(topic: str) -> str:
+    """Return a topic's name with the slash that bags made without ROS may lack: a relative one is of no namespace."""
+    return topic if topic.startswith("/") else f"/{topic}"
 
 
 def _connections(reader: Reader) -> list[Connection]:
@@ -213,14 +219,16 @@ def _connections(reader: Reader) -> list[Connection]:
 
 
 def _messages_of_ros1_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
-    for topic, msgtype, stamp_ns, data in ros1_bag.messages(file, topics, encode, typestore()):
-        yield RawMessage(topic, msgtype, stamp_ns, data)
+    wanted = None if topics is None else topics | {topic.removeprefix("/") for topic in topics}
+    for topic, msgtype, stamp_ns, data in ros1_bag.messages(file, wanted, encode, typestore()):
+        yield RawMessage(_full_name(topic), msgtype, stamp_ns, data)
 
 
 def _topics_of_ros1_file(file: Path) -> dict[str, TopicInfo]:
     topics: dict[str, TopicInfo] = {}
     try:
-        for topic, msgtype, count, latched in ros1_bag.topics(file):
+        for name, msgtype, count, latched in ros1_bag.topics(file):
+            topic = _full_name(name)
             known = topics.get(topic, TopicInfo(msgtype, 0, latched))
             topics[topic] = TopicInfo(msgtype, known.count + count, latched or topic.endswith("tf_static"))
     except Exception as error:  # struct and format errors, depending on the damage
@@ -240,8 +248,9 @@ def _open(file: Path, stack: ExitStack) -> Reader:
 
 def _messages_of_truncated_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
     for raw in readable_messages(file):
-        if topics is None or raw.topic in topics:
-            yield raw
+        topic = _full_name(raw.topic)
+        if topics is None or topic in topics:
+            yield raw if topic == raw.topic else replace(raw, topic=topic)
 
 
 def _topics_of_truncated_file(file: Path) -> dict[str, TopicInfo]:
