@@ -170,12 +170,12 @@ def decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
         return None
 
 
-def decodable(data: NDArray[np.uint8]) -> bool:
-    """Return whether an encoded image can be decoded; grey and reduced, as that is the fastest that reads it all."""
+def halved(data: NDArray[np.uint8]) -> NDArray[Any] | None:
+    """Return an encoded image's pixels, or None; grey and at half size, as that is the fastest that reads it all."""
     try:
-        return cv2.imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_2) is not None
+        return cv2.imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_2)
     except cv2.error:
-        return False
+        return None
 
 
 def camera_of(info: Any) -> PinholeCamera:

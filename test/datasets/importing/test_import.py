@@ -19,7 +19,9 @@ from uav_vslam.datasets.importing.tables import read_table
 from uav_vslam.datasets.message_builders import compressed_image_message
 from uav_vslam.datasets.messages import image_of
 from uav_vslam.errors import BagError
+from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import ImuSample, StereoFrame
 
 IMU = [f"{ms * 1_000_000},0.01,0.0,0.0,0.0,0.0,9.81" for ms in range(0, 400, 5)]
@@ -46,6 +48,11 @@ def mav0(tmp_path: Path) -> Path:
         (folder / name).mkdir()
         (folder / name / "data.csv").write_text("\n".join(["#header", *rows]) + "\n")
     return folder
+
+
+def rig_of(width: int, height: int) -> StereoRig:
+    camera = PinholeCamera(width, height, 50.0, 50.0, 32.0, 24.0)
+    return StereoRig(camera, camera, Pose.identity(), Pose(np.eye(3), np.array([0.1, 0.0, 0.0])))
 
 
 def truth_rows() -> list[str]:
@@ -163,7 +170,7 @@ def test_files_that_ros_knows_are_copied_and_others_keep_their_pixels(
     pixels = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
     cv2.imwrite(str(path), pixels)
     picture = Picture(7, path)
-    (frame,) = frames(shifted(paired([picture], [picture], Problems()), 5), Problems())
+    (frame,) = frames(shifted(paired([picture], [picture], Problems()), 5), rig_of(64, 48), Problems())
     assert frame.stamp_ns == 12
     if copied:
         assert frame.left.content == path.read_bytes()
@@ -177,9 +184,32 @@ def test_a_picture_that_turns_out_to_be_none_is_left_out(name: str, tmp_path: Pa
     path.write_bytes(b"P5 no more")
     problems = Problems()
     picture = Picture(7, path)
-    assert list(frames(paired([picture], [picture], problems), problems)) == []
+    assert list(frames(paired([picture], [picture], problems), rig_of(64, 48), problems)) == []
     assert problems.counts == {"missing pictures": 2}
     assert problems.lines[0] == f"{path}: can't be decoded"
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".pgm"])
+@pytest.mark.parametrize("size", [(64, 48), (63, 47)])
+def test_a_picture_of_another_size_than_calibrated_is_left_out(
+    size: tuple[int, int], suffix: str, tmp_path: Path
+) -> None:
+    pictures = [Picture(k, tmp_path / f"{k}{suffix}") for k in range(3)]
+    for picture, (width, height) in zip(pictures, [(32, 24), size, (64, 24)], strict=True):
+        cv2.imwrite(str(picture.path), np.zeros((height, width), np.uint8))
+    problems = Problems()
+    kept = list(frames(paired(pictures, pictures, problems), rig_of(*size), problems))
+    assert [frame.stamp_ns for frame in kept] == [1]
+    assert problems.counts == {"pictures of another size than calibrated": 4}
+    assert f"32x24 px, but the calibration of {size[0]}x{size[1]} px" in problems.lines[0]
+
+
+def test_links_that_lead_nowhere_are_missing_pictures(mav0: Path, tmp_path: Path) -> None:
+    picture = mav0 / "cam0" / "data" / "200000000.png"
+    picture.unlink()
+    picture.symlink_to("annex/of/a/clone/without/data")
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    assert open_flight(tmp_path / "out", "uav1").frame_count == 4
 
 
 def test_a_list_without_names_makes_no_recording(

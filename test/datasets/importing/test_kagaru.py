@@ -199,6 +199,13 @@ def test_frame_times_that_do_not_match_the_pictures_are_refused_unless_they_name
     assert read_kagaru(folder, tmp_path / "layout.yaml").frame_count == FRAMES - 1
 
 
+def test_the_first_pictures_may_be_broken(flight: Flight, tmp_path: Path) -> None:
+    folder = write_kagaru(flight, tmp_path / "kagaru")
+    (folder / "front" / "img0.pgm").write_bytes(b"P5 cut short")
+    source = read_kagaru(folder, kagaru_layout(flight, tmp_path / "layout.yaml"))
+    assert len(list(source.flight.frames)) == FRAMES - 1
+
+
 def test_stamps_may_be_in_the_names_of_the_pictures(flight: Flight, tmp_path: Path) -> None:
     folder = write_kagaru(flight, tmp_path / "data")
     for name in ("front", "back"):

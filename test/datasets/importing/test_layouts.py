@@ -215,6 +215,14 @@ def test_a_raw_drive_of_another_sequence_or_place_is_refused(
     assert "23 pictures" in capsys.readouterr().err
 
 
+def test_kittis_first_readable_picture_gives_the_size(rectified: Flight, tmp_path: Path, capsys: Capsys) -> None:
+    sequence, oxts = write_kitti(rectified, tmp_path / "kitti")
+    (sequence / "image_0" / "000000.png").write_bytes(b"cut short")
+    found = imported("kitti", sequence, "--oxts", oxts, out=tmp_path / "out")
+    assert "000000.png: can't be decoded" in capsys.readouterr().err
+    assert found.frame_count == len(rectified.frames) - 1
+
+
 def test_a_missing_picture_and_a_broken_row_of_kitti_are_told(
     rectified: Flight, tmp_path: Path, capsys: Capsys
 ) -> None:

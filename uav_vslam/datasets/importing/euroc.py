@@ -64,12 +64,13 @@ def read_euroc(
         raise BagError(
             f"{mav0}: no pair of images with equal stamps is covered by IMU readings and ground truth; check data.csv"
         )
+    rig = StereoRig(left, right, T_body_left, T_body_right)
     flight = FlightRecording(
         vehicle=vehicle,
-        rig=StereoRig(left, right, T_body_left, T_body_right),
+        rig=rig,
         imu=imu_samples(imu),
         truth=truth.samples(imu),
-        frames=frames(pairs, problems),
+        frames=frames(pairs, rig, problems),
         initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()),
     )
     base = "euroc_video" if _usual_gap_s(pairs) < TRACKED_S else "euroc"

@@ -71,7 +71,7 @@ def read_kagaru(
         rig=rig,
         imu=imu_samples(imu),
         truth=truth.samples(imu) if truth else (),
-        frames=frames(flown, problems, encoding=encoding_of(flown[0], layout.cameras.bayer, rig)),
+        frames=frames(flown, rig, problems, encoding=encoding_of(flown, layout.cameras.bayer, rig)),
         initial=truth.start(flown[0].stamp_ns, sigma or InitialSigma(*layout.start_sigma)) if truth else None,
     )
     warnings = tuple(contradictions(imu, truth)) if truth else ()

@@ -2,15 +2,13 @@
 """Pictures that a layout names, with stamps from a file of frame times or from their names."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from uav_vslam.datasets.importing.kagaru_settings import CamerasSettings, SideSettings
-from uav_vslam.datasets.importing.pictures import Picture, PicturePair, existing, paired
+from uav_vslam.datasets.importing.pictures import Picture, PicturePair, existing, first_readable, paired
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import UNREADABLE
-from uav_vslam.datasets.messages import decoded
 from uav_vslam.errors import BagError, CalibrationError, ConfigError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import NS_PER_S
@@ -85,18 +83,18 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", str(path)) if part]
 
 
-def encoding_of(first: PicturePair, bayer: str, rig: StereoRig) -> str:
+def encoding_of(pairs: Sequence[PicturePair], bayer: str, rig: StereoRig) -> str:
     """Return the ROS encoding of mosaics, empty if the pictures are none.
 
     Raises:
-        BagError: the first picture can't be decoded.
-        CalibrationError: it is of another size than calibrated.
+        BagError: no pair can be decoded.
+        CalibrationError: the first one that can is of another size than calibrated.
         ConfigError: a picture in colour can't be a mosaic.
     """
-    path = first.left.path
-    pixels = decoded(np.frombuffer(path.read_bytes(), np.uint8))
-    if pixels is None:
-        raise BagError(f"{path}: can't be decoded; is it a picture?")
+    found = first_readable(pairs)
+    if found is None:
+        raise BagError(f"{pairs[0].left.path}: no pair from it on can be decoded; are they pictures?")
+    path, pixels = found[0].left.path, found[1]
     height, width = pixels.shape[:2]
     if (width, height) != (rig.left.width, rig.left.height):
         raise CalibrationError(

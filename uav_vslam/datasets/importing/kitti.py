@@ -7,6 +7,7 @@ benchmark has no IMU: body is camera 0 with x forward, y left, z up. With the ra
 IMU's frame, whose axes are these as well, and the world is level, its x to the east.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,12 +17,11 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.kitti_oxts import OXTS_NOISE, OxtsRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
-from uav_vslam.datasets.importing.pictures import Picture, PicturePair, existing, frames, paired
+from uav_vslam.datasets.importing.pictures import Picture, PicturePair, existing, first_readable, frames, paired
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import is_rotation
 from uav_vslam.datasets.importing.source import Source
 from uav_vslam.datasets.importing.tables import UNREADABLE, in_range, numbered_lines, numbers, table_of
-from uav_vslam.datasets.messages import decoded
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -89,12 +89,13 @@ def read_kitti(
     T_body_cam0 = oxts.T_body_cam0(calibration.T_cam0_velo) if oxts else T_FLU_OPTICAL
     T_world_first = oxts.pose_at(int(stamps_ns[0])) if oxts else Pose.identity()
     truth, warnings = _truth(sequence, stamps_ns, T_body_cam0, T_world_first, problems)
+    rig = _rig(calibration, cameras, pairs, T_body_cam0)
     flight = FlightRecording(
         vehicle=vehicle,
-        rig=_rig(calibration, cameras, pairs[0], T_body_cam0),
+        rig=rig,
         imu=imu_samples(oxts.imu) if oxts else (),
         truth=truth.samples(oxts.imu if oxts else None) if truth else (),
-        frames=frames(pairs, problems),
+        frames=frames(pairs, rig, problems),
         initial=oxts.start(pairs[0].stamp_ns, truth, sigma) if oxts else None,
     )
     if truth is None:
@@ -150,15 +151,17 @@ def _beyond_times(sequence: Path, cameras: tuple[int, int], times: int) -> tuple
     return (f"{count} pictures are beyond the {times} lines of times.txt, and left out",) if count else ()
 
 
-def _rig(calibration: _Calibration, cameras: tuple[int, int], first: PicturePair, T_body_cam0: Pose) -> StereoRig:
+def _rig(
+    calibration: _Calibration, cameras: tuple[int, int], pairs: Sequence[PicturePair], T_body_cam0: Pose
+) -> StereoRig:
     """Return the rig of rectified cameras, P = K [I | t] with t from camera 0 to this one."""
+    readable = first_readable(pairs)
+    if readable is None:
+        raise BagError(f"{pairs[0].left.path}: no pair from it on can be decoded, and the image size must be known")
     sides = []
-    for number, picture in zip(cameras, (first.left, first.right), strict=True):
+    for number, pixels in zip(cameras, readable[1:], strict=True):
         if number not in calibration.projections:
             raise CalibrationError(f"{calibration.path}: no row 'P{number}:' with 12 numbers")
-        pixels = decoded(np.frombuffer(picture.path.read_bytes(), np.uint8))
-        if pixels is None:
-            raise BagError(f"{picture.path}: can't be decoded, and the image size must be known; download it again")
         P = calibration.projections[number]
         K = P[:, :3]
         if np.any(np.tril(K, -1)) or np.any(K.diagonal() <= 0.0):

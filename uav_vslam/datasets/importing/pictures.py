@@ -7,18 +7,24 @@ Jpeg and png files are copied byte for byte; other kinds are decoded, and record
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
 from uav_vslam.datasets.importing.motion import Motion
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, Table, in_range, numbered_lines
-from uav_vslam.datasets.messages import decodable, decoded
+from uav_vslam.datasets.messages import decoded, halved
+from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.search import nearest
 
 COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 MISSING, UNPAIRED = "missing pictures", "pictures without a partner"
+OTHER_SIZE = "pictures of another size than calibrated"
+
+Image = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +78,7 @@ def existing(listed: Iterable[tuple[int, Path, int]], source: Path, problems: Pr
     for stamp, path, line in listed:
         folder = path.parent
         if folder not in sizes:  # one look into the folder is faster than one at each file
-            sizes[folder] = {f.name: f.stat().st_size for f in folder.iterdir()} if folder.is_dir() else {}
+            sizes[folder] = _sizes_in(folder)
         if not sizes[folder].get(path.name):
             wrong = "is empty" if path.name in sizes[folder] else "does not exist"
             problems.add(MISSING, source, f"picture {path} {wrong}", line=line)
@@ -81,6 +87,11 @@ def existing(listed: Iterable[tuple[int, Path, int]], source: Path, problems: Pr
         else:
             kept[stamp] = Picture(stamp, path)
     return [kept[stamp] for stamp in sorted(kept)]
+
+
+def _sizes_in(folder: Path) -> dict[str, int]:
+    """Return the sizes of a folder's files [bytes]; links that lead nowhere, as of a clone without data, are none."""
+    return {file.name: file.stat().st_size for file in folder.iterdir() if file.exists()} if folder.is_dir() else {}
 
 
 def paired(
@@ -125,21 +136,41 @@ def shifted(pairs: list[PicturePair], offset_ns: int) -> list[PicturePair]:
     return [PicturePair(later(pair.left), later(pair.right)) for pair in pairs]
 
 
-def frames(pairs: list[PicturePair], problems: Problems, *, encoding: str = "") -> Iterator[SourceFrame]:
-    """Read pairs of files; a pair with a file that can't be read is left out.
+def first_readable(pairs: Iterable[PicturePair]) -> tuple[PicturePair, Image, Image] | None:
+    """Return the first pair whose pictures can be decoded, with their pixels; None if there is none."""
+    for pair in pairs:
+        left, right = (_pixels(picture.path) for picture in (pair.left, pair.right))
+        if left is not None and right is not None:
+            return pair, left, right
+    return None
+
+
+def _pixels(path: Path) -> Image | None:
+    try:
+        return decoded(np.frombuffer(path.read_bytes(), np.uint8))
+    except OSError:
+        return None
+
+
+def frames(
+    pairs: list[PicturePair], rig: StereoRig, problems: Problems, *, encoding: str = ""
+) -> Iterator[SourceFrame]:
+    """Read pairs of files; a pair with a file that can't be read, or is not of the calibrated size, is left out.
 
     Args:
         pairs: the files.
+        rig: calibration.
         problems: collects pictures that are left out.
         encoding: of Bayer mosaics ("bayer_rggb8"); empty if the pixels are grey or colour.
     """
     for pair in pairs:
-        left, right = (_image(picture, problems, encoding) for picture in (pair.left, pair.right))
+        left = _image(pair.left, rig.left.size, problems, encoding)
+        right = _image(pair.right, rig.right.size, problems, encoding)
         if left is not None and right is not None:
             yield SourceFrame(left, right)
 
 
-def _image(picture: Picture, problems: Problems, encoding: str) -> SourceImage | None:
+def _image(picture: Picture, size: tuple[int, int], problems: Problems, encoding: str) -> SourceImage | None:
     path = picture.path
     try:
         data = path.read_bytes()
@@ -147,13 +178,15 @@ def _image(picture: Picture, problems: Problems, encoding: str) -> SourceImage |
         problems.add(MISSING, path, f"can't be read ({error.strerror})")
         return None
     fmt = COPIED.get(path.suffix.lower(), "")
-    content = _copied(data) if fmt else decoded(np.frombuffer(data, np.uint8))
-    if content is None:
+    pixels = (halved if fmt else decoded)(np.frombuffer(data, np.uint8))
+    if pixels is None:
         problems.add(MISSING, path, "can't be decoded")
         return None
-    return SourceImage(picture.stamp_ns, content, fmt, encoding)
-
-
-def _copied(data: bytes) -> bytes | None:
-    """Return a file's bytes if they can be decoded: nobody could read the recording otherwise."""
-    return data if decodable(np.frombuffer(data, np.uint8)) else None
+    scale = 2 if fmt else 1
+    height, width = pixels.shape[:2]
+    if max(abs(width * scale - size[0]), abs(height * scale - size[1])) >= scale:  # half of an odd size is rounded
+        about = "about " if scale > 1 else ""
+        wrong = f"is {about}{width * scale}x{height * scale} px, but the calibration of {size[0]}x{size[1]} px"
+        problems.add(OTHER_SIZE, path, wrong)
+        return None
+    return SourceImage(picture.stamp_ns, data if fmt else pixels, fmt, encoding)

@@ -75,7 +75,7 @@ def read_tumvi(
         rig=rig,
         imu=imu_samples(imu),
         truth=truth.samples(imu) if truth else (),
-        frames=frames(pairs, problems),
+        frames=frames(pairs, rig, problems),
         initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()) if truth else None,
     )
     settings = {**SETTINGS, **read_calibration(files).noise, **({} if truth else IN_FLIGHT)}
