@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`uav-vslam cut` makes a bag that `run` takes as it is, and says what it did."""
 
+import itertools
 import json
 import shlex
 from pathlib import Path
@@ -10,6 +11,8 @@ import pytest
 
 from uav_vslam.cli.main import main
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.evaluation.files.reading import read_trajectory
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
@@ -97,6 +100,36 @@ def test_what_can_not_be_cut_is_one_line(
     assert message in error
     assert error.count("\n") == 1
     assert not (tmp_path / "pair").exists()
+
+
+def test_a_damaged_recording_is_cut_from_before_the_damage(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, short = (bag / "flight.mcap").read_bytes(), tmp_path / "short.mcap"
+    short.write_bytes(whole[: len(whole) * 3 // 4])
+    assert main(["cut", str(short), str(tmp_path / "pair"), "--legs", "0-1,1-2"]) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith(f"uav-vslam: cut from what is before a break: bag {short} is damaged")
+    assert said.err.count("\n") == 1
+    assert open_flight(tmp_path / "pair", "uav2").frame_count == 7
+    assert main(["cut", str(bag), str(tmp_path / "expected"), "--legs", "0-1,1-2"]) == 0
+    ours, theirs = (list(iter_raw([tmp_path / name])) for name in ("pair", "expected"))
+    assert [raw.data for raw in ours] == [raw.data for raw in theirs]
+
+
+def test_messages_that_can_not_be_read_are_left_out_and_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with RawRecorder(tmp_path / "faulty") as recorder:
+        numbers = {"/uav1/left/image_raw": itertools.count(), "/uav1/imu/data_raw": itertools.count()}
+        for raw in iter_raw([bag]):
+            number = next(numbers[raw.topic]) if raw.topic in numbers else -1
+            data = {5: raw.data[:40], 100: raw.data[:4]}.get(number, raw.data)
+            recorder.write(raw.topic, raw.msgtype, data, raw.stamp_ns)
+    assert main(["cut", str(tmp_path / "faulty"), str(tmp_path / "pair"), *LEGS]) == 0
+    said = capsys.readouterr().err
+    assert "3 messages can't be read and are left out, images with their pair; the first: " in said
+    assert open_flight(tmp_path / "pair", "uav1").frame_count == open_flight(tmp_path / "pair", "uav2").frame_count - 1
 
 
 def test_an_existing_folder_is_refused_at_once(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

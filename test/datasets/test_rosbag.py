@@ -105,6 +105,22 @@ def test_a_truncated_recording_is_read_up_to_the_damage(tiny_bag: Path, tmp_path
     assert topics_of([tmp_path])["/uav1/imu/data_raw"].msgtype == "sensor_msgs/msg/Imu"
 
 
+def test_the_damage_of_one_file_costs_no_other(tiny_bag: Path, tmp_path: Path) -> None:
+    messages = list(iter_raw([tiny_bag]))
+    half = len(messages) // 2
+    for name, part in (("a", messages[:half]), ("b", messages[half:])):
+        with RawRecorder(tmp_path / name) as recorder:
+            for raw in part:
+                recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)
+    first = tmp_path / "a" / "a.mcap"
+    first.write_bytes(first.read_bytes()[: first.stat().st_size // 2])
+    read: list[RawMessage] = []
+    with pytest.raises(BagError, match=f"bag {first} is damaged: read up to the damage"):
+        read.extend(iter_raw([tmp_path / "a", tmp_path / "b"]))
+    assert len(read) > half
+    assert [raw.data for raw in read[-half // 2 :]] == [raw.data for raw in messages[-half // 2 :]]
+
+
 def test_a_truncated_file_beside_its_metadata_is_detected(tiny_bag: Path, tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").write_bytes((tiny_bag / "metadata.yaml").read_bytes())
     data = (tiny_bag / "tiny.mcap").read_bytes()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Cut; return the exit status."""
+    """Cut; return 2 if the recording is damaged, after cutting what can be read."""
     from uav_vslam.cli.overrides import override
     from uav_vslam.config import find_config, load_vehicle
     from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
@@ -73,11 +74,16 @@ def run(args: argparse.Namespace) -> int:
     cut = _planned(args, flight, config, options)
     with progress_bar("writing", sum(vehicle.frames for vehicle in cut.vehicles)) as advance:
         started = cut if args.trajectory else with_drawn_starts(cut, SEED if args.seed is None else args.seed)
-        write_cut(args.out, flight, started.vehicles, config, advance, with_truth=not args.trajectory)
+        unread = write_cut(args.out, flight, started.vehicles, config, advance, with_truth=not args.trajectory)
     print("\n".join(cut_lines(cut)))
     print(f"A cut hides: {WHAT_A_CUT_HIDES}.")
     print(f"{args.out}: {shlex.join(['uav-vslam', 'run', str(args.out / FLEET_FILE)])}")
-    return 0
+    if unread.messages:
+        count, first = len(unread.messages), next(iter(unread.messages.values()))
+        warn(f"{count} messages can't be read and are left out, images with their pair; the first: {first}")
+    if unread.damage:
+        print(f"uav-vslam: cut from what is before a break: {unread.damage}", file=sys.stderr)
+    return 2 if unread.damage else 0
 
 
 def _planned(args: argparse.Namespace, flight: BagFlight, config: VehicleConfig, options: CutOptions) -> Cut:

@@ -18,7 +18,7 @@ from uav_vslam.config import InputConfig, StartConfig, VehicleConfig, parameter_
 from uav_vslam.config.input import COMPRESSED
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.bag_recorder import RawRecorder
-from uav_vslam.datasets.cdr import decode
+from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.cutting import CutVehicle
 from uav_vslam.datasets.flight_writer import record_message
 from uav_vslam.datasets.frame_tree import TF_STATIC
@@ -30,10 +30,10 @@ from uav_vslam.datasets.message_builders import (
     with_header,
 )
 from uav_vslam.datasets.messages import TruthSample, header_stamp_ns
-from uav_vslam.datasets.rosbag import iter_raw
-from uav_vslam.datasets.seen_points import recorded_pairs
+from uav_vslam.datasets.seen_points import Unread, readable, recorded_pairs
 from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.datasets.unfinished import unfinished
+from uav_vslam.errors import BagError
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import SIDES
@@ -53,7 +53,7 @@ def write_cut(
     on_frame: Callable[[], None] = lambda: None,
     *,
     with_truth: bool = True,
-) -> None:
+) -> Unread:
     """Write the vehicles' bag, with a fleet file for `run` and `launch` inside; an interrupted one leaves nothing.
 
     Args:
@@ -64,13 +64,18 @@ def write_cut(
         on_frame: called for each image pair written.
         with_truth: copy the ground truth, if the starts are in its frame.
 
+    Returns:
+        What could not be read of the source, and is left out.
+
     Raises:
-        BagError: the folder exists or can't be made, or the source is damaged.
+        BagError: the folder exists or can't be made.
     """
+    unread = Unread()
     with unfinished(out) as folder:
         with RawRecorder(folder) as recorder:
-            _write_all(recorder, flight, vehicles, flight.truth() if with_truth else None, on_frame)
+            _write_all(recorder, flight, vehicles, flight.truth() if with_truth else None, unread, on_frame)
         _write_fleet_file(folder, [vehicle.name for vehicle in vehicles], config)
+    return unread
 
 
 def _write_all(
@@ -78,9 +83,10 @@ def _write_all(
     flight: BagFlight,
     vehicles: Sequence[CutVehicle],
     truth: TruthTrack | None,
+    unread: Unread,
     on_frame: Callable[[], None],
 ) -> None:
-    streams = [_stream(flight, vehicle, truth) for vehicle in vehicles]
+    streams = [_stream(flight, vehicle, truth, unread) for vehicle in vehicles]
     first = True
     for stamp_ns, topic, built in heapq.merge(*streams, key=lambda message: message[0]):
         if first:
@@ -108,30 +114,42 @@ def _imu_frame(flight: BagFlight, vehicle: CutVehicle) -> str:
     return f"{vehicle.name}/{'base_link' if is_body else 'imu'}"
 
 
-def _stream(flight: BagFlight, vehicle: CutVehicle, truth: TruthTrack | None) -> Iterator[Message]:
+def _stream(flight: BagFlight, vehicle: CutVehicle, truth: TruthTrack | None, unread: Unread) -> Iterator[Message]:
     """Yield a vehicle's messages, stamped as recorded when they were measured."""
-    streams = [_images(flight, vehicle), _readings(flight, vehicle)]
+    streams = [_images(flight, vehicle, unread), _readings(flight, vehicle, unread)]
     if truth is not None:
         streams.append(_truth(vehicle, truth))
     return heapq.merge(*streams, key=lambda message: message[0])
 
 
-def _images(flight: BagFlight, vehicle: CutVehicle) -> Iterator[Message]:
-    """Yield the start state, then each pair with its calibration."""
+def _images(flight: BagFlight, vehicle: CutVehicle, unread: Unread) -> Iterator[Message]:
+    """Yield the start state, then each pair that can be decoded with its calibration."""
     cameras = dict(zip(SIDES, (flight.rig.left, flight.rig.right), strict=True))
     topic, frame_id = f"/{vehicle.name}", f"{vehicle.name}/{{}}_optical"
-    for pair in recorded_pairs(flight):
+    for pair in recorded_pairs(flight, unread):
         if not vehicle.first_ns <= pair.stamp_ns <= vehicle.last_ns:
             continue
         pair_ns = pair.stamp_ns + vehicle.shift_ns
         if pair.stamp_ns == vehicle.first_ns:
             yield pair_ns, f"{topic}/initial_state", _start(vehicle)
-        for side, raw in zip(SIDES, (pair.left, pair.right), strict=True):
+        images = [image for raw in (pair.left, pair.right) if (image := _decoded(raw, unread)) is not None]
+        if len(images) < len(SIDES):
+            continue
+        for side, raw, image in zip(SIDES, (pair.left, pair.right), images, strict=True):
             stamp_ns = header_stamp_ns(raw.data) + flight.time_offset_ns + vehicle.shift_ns
             frame = frame_id.format(side)
             yield pair_ns, f"{topic}/{side}/camera_info", camera_info_message(stamp_ns, frame, cameras[side])
             name = f"{topic}/{side}/image_raw{COMPRESSED if raw.msgtype.endswith('CompressedImage') else ''}"
-            yield pair_ns, name, with_header(decode(raw), stamp_ns, frame)
+            yield pair_ns, name, with_header(image, stamp_ns, frame)
+
+
+def _decoded(raw: RawMessage, unread: Unread) -> Any:
+    """Return the message, None if it can't be read."""
+    try:
+        return decode(raw)
+    except BagError as error:
+        unread.add(raw, error)
+        return None
 
 
 def _start(vehicle: CutVehicle) -> Any:
@@ -140,13 +158,15 @@ def _start(vehicle: CutVehicle) -> Any:
     return navigation_state_message(moved, frame_id=f"{vehicle.name}/map", child_frame_id=f"{vehicle.name}/base_link")
 
 
-def _readings(flight: BagFlight, vehicle: CutVehicle) -> Iterator[Message]:
+def _readings(flight: BagFlight, vehicle: CutVehicle, unread: Unread) -> Iterator[Message]:
     frame = _imu_frame(flight, vehicle)
-    for raw in iter_raw(flight.paths, [flight.input.topic(flight.vehicle, "imu")]):
-        source_ns = header_stamp_ns(raw.data)
+    for source_ns, raw in readable(flight, [flight.input.topic(flight.vehicle, "imu")], unread):
         stamp_ns = source_ns + vehicle.shift_ns
-        if vehicle.first_ns - MARGIN_NS <= source_ns <= vehicle.last_ns + MARGIN_NS:
-            yield stamp_ns, f"/{vehicle.name}/imu/data_raw", with_header(decode(raw), stamp_ns, frame)
+        if not vehicle.first_ns - MARGIN_NS <= source_ns <= vehicle.last_ns + MARGIN_NS:
+            continue
+        reading = _decoded(raw, unread)
+        if reading is not None:
+            yield stamp_ns, f"/{vehicle.name}/imu/data_raw", with_header(reading, stamp_ns, frame)
 
 
 def _truth(vehicle: CutVehicle, truth: TruthTrack) -> Iterator[Message]:

@@ -72,8 +72,11 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
         BagError: a path is missing or not a bag, or a bag is damaged (raised after all readable messages).
     """
     wanted = None if topics is None else frozenset(topics)
-    streams = [_messages_of_file(file, wanted) for file in _files(paths)]
+    streams = [UpToDamage(_messages_of_file(file, wanted)) for file in _files(paths)]
     yield from heapq.merge(*streams, key=lambda raw: raw.stamp_ns)
+    for stream in streams:
+        if stream.error:
+            raise stream.error
 
 
 class UpToDamage(Generic[Item]):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the images of a recording show: stereo points of some of its frames, in the world, along given poses."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.messages import header_stamp_ns, image_of
-from uav_vslam.datasets.rosbag import iter_raw
+from uav_vslam.datasets.rosbag import UpToDamage, iter_raw
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import BagError, InvalidMessage, UavVslamError
 from uav_vslam.evaluation.overlap import View
@@ -25,6 +25,23 @@ MAX_VIEWS = 200  # of a recording; at 20 m/s over 2.8 km one every 14 m, a third
 WIDTH_PX, SMALLEST_SCALE = 400, 0.1  # images are shrunk to this width: where points are matters, not how exactly
 FEATURES = 400
 MAX_POINTS = 100  # of a view: a share of them is known to 5 %
+
+
+@dataclass(slots=True)
+class Unread:
+    """What can't be read of a recording.
+
+    Attributes:
+        damage: what broke off reading, or None.
+        messages: by topic and recording stamp, why it can't be decoded.
+    """
+
+    damage: BagError | None = None
+    messages: dict[tuple[str, int], str] = field(default_factory=dict)
+
+    def add(self, raw: RawMessage, error: BagError) -> None:
+        """Count a message, once."""
+        self.messages.setdefault((raw.topic, raw.stamp_ns), str(error))
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +71,12 @@ def seen_flight(
         on_frame: called for each frame, measured or not.
 
     Raises:
-        BagError: the recording is damaged.
         UavVslamError: fewer than two frames have a pose.
     """
     every = -(-flight.frame_count // MAX_VIEWS)
     frontend = _frontend(flight.rig, config)
     seen = SeenFlight([], [], [])
-    for number, pair in enumerate(recorded_pairs(flight)):
+    for number, pair in enumerate(recorded_pairs(flight, Unread())):
         on_frame()
         seen.pairs_ns.append(pair.stamp_ns)
         at, found = interpolate(poses, np.array([pair.stamp_ns], np.int64), max_gap_s=MAX_GAP_S)
@@ -85,12 +101,25 @@ def _frontend(rig: StereoRig, config: VehicleConfig) -> StereoFrontend:
     return StereoFrontend(rig, small.frontend, small.rig)
 
 
-def recorded_pairs(flight: BagFlight) -> Iterator[StereoPair[RawMessage]]:
-    """Yield the image pairs undecoded, with the stamps of `BagFlight.iter_events`."""
+def readable(flight: BagFlight, topics: Sequence[str], unread: Unread) -> Iterator[tuple[int, RawMessage]]:
+    """Yield stamp [ns] and message of topics, up to the damage; `unread` collects what else there is."""
+    messages = UpToDamage(iter_raw(flight.paths, topics))
+    for raw in messages:
+        try:
+            stamp_ns = header_stamp_ns(raw.data)
+        except BagError as error:
+            unread.add(raw, error)
+            continue
+        yield stamp_ns, raw
+    unread.damage = unread.damage or messages.error
+
+
+def recorded_pairs(flight: BagFlight, unread: Unread) -> Iterator[StereoPair[RawMessage]]:
+    """Yield the image pairs undecoded, with the stamps of `BagFlight.iter_events`; see `readable`."""
     pairer: StereoPairer[RawMessage] = StereoPairer(tolerance_ns=round(flight.input.pair_tolerance_s * NS_PER_S))
-    for raw in iter_raw(flight.paths, [flight.left_topic, flight.right_topic]):
+    for stamp_ns, raw in readable(flight, [flight.left_topic, flight.right_topic], unread):
         add = pairer.add_left if raw.topic == flight.left_topic else pairer.add_right
-        pair = add(header_stamp_ns(raw.data), raw)
+        pair = add(stamp_ns, raw)
         if pair is not None:
             yield StereoPair(pair.stamp_ns + flight.time_offset_ns, pair.left, pair.right)
 
