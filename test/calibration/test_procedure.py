@@ -159,6 +159,14 @@ def test_corners_tell_the_pose_if_two_lie_beside_any_line(chosen: list[int], tol
     assert Corners(grid_of(BOARD)[chosen], np.zeros((len(chosen), 2))).fix_pose == told
 
 
+def test_a_pair_of_another_size_is_rejected_with_the_side() -> None:
+    found = looked_at(*[(SEEN, SEEN_RIGHT)] * 8, (SEEN, SEEN_RIGHT[:30]))
+    assert len(found.pairs) == 8
+    assert [pair.reason for pair in found.rejected] == [
+        "the right picture of pair 8 is 60x30 px but the first picture 60x40"
+    ]
+
+
 def test_pictures_of_another_size_are_refused() -> None:
     with pytest.raises(CalibrationError, match="right picture of pair 1 is 60x30 px but the first picture 60x40"):
         looked_at((SEEN, SEEN_RIGHT), (SEEN, SEEN_RIGHT[:30]))

@@ -7,8 +7,8 @@ import pytest
 from board_scene import HEIGHT, WIDTH, corner_pairs, rig_of
 from scipy.stats import chi2
 
-from uav_vslam.calibration.boards import Chessboard
-from uav_vslam.calibration.solve import Lens, reproject, rms, solve
+from uav_vslam.calibration.boards import Chessboard, Corners
+from uav_vslam.calibration.solve import Lens, board_pose, reproject, rms, solve
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.stereo import SIDES
 
@@ -107,3 +107,10 @@ def test_the_true_rig_leaves_the_noise_of_other_pairs() -> None:
 def test_a_lens_that_does_not_exist_is_refused(model: str, fixed: tuple[str, ...], said: str) -> None:
     with pytest.raises(CalibrationError, match=said):
         Lens(model, fixed)
+
+
+def test_corners_that_leave_the_pose_open_are_refused() -> None:
+    camera = rig_of().left
+    points = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.03, 0.0]])
+    with pytest.raises(CalibrationError, match="are --board and --model right"):
+        board_pose(Corners(points, 300.0 + 1000.0 * points[:, :2]), camera)

@@ -101,27 +101,28 @@ def find_boards(
     """Find the board in all pictures.
 
     Args:
-        pictures: name, left and right image of each pair; pairs of which one can't be read are rejected.
+        pictures: name, left and right image of each pair; pairs of which one can't be read, or is of another size
+            than the first one, are rejected.
         board: to look for.
         on_pair: called after each pair.
 
     Raises:
-        CalibrationError: pictures have different sizes, both of a pair are the same, or too few show the board.
+        CalibrationError: both pictures of a pair are the same, or too few show the board.
     """
     pairs: list[BoardPair] = []
     rejected: list[Rejected] = []
-    unread: list[str] = []
+    useless: list[str] = []
     other_sizes: list[tuple[int, int]] = []
     size: tuple[int, int] | None = None
     for name, *both in pictures:
-        if reasons := dict.fromkeys(str(image) for image in both if isinstance(image, UavVslamError)):
-            unread.append("; ".join(reasons))
-            rejected.append(Rejected(name, unread[-1]))
+        images = [image for image in both if not isinstance(image, UavVslamError)]
+        size = size or next((image.shape[::-1] for image in images), None)
+        reasons = [str(image) for image in both if isinstance(image, UavVslamError)] or _other_sizes(name, images, size)
+        if reasons:
+            useless.append("; ".join(dict.fromkeys(reasons)))
+            rejected.append(Rejected(name, useless[-1]))
             on_pair()
             continue
-        images = [image for image in both if not isinstance(image, UavVslamError)]
-        size = size or images[0].shape[::-1]
-        _check_sizes(name, images, size)
         left, right = (board.detect(image) for image in images)
         if left is None or right is None:
             other_sizes += [found for found in map(board.size_in, images) if found is not None]
@@ -135,7 +136,7 @@ def find_boards(
             pairs.append(BoardPair(name, left, board.like(right, left)))
         on_pair()
     if size is None or len(pairs) < LEAST_PAIRS:
-        raise CalibrationError(_too_few(pairs, rejected, unread, board, other_sizes))
+        raise CalibrationError(_too_few(pairs, rejected, useless, board, other_sizes))
     return Boards(pairs, rejected, size)
 
 
@@ -246,19 +247,20 @@ def _difference(first: float, second: float) -> float:
     return abs(first - second) / (0.5 * (first + second))
 
 
-def _check_sizes(name: str, images: Sequence[Image], size: tuple[int, int]) -> None:
-    for side, image in zip(SIDES, images, strict=True):
-        if image.shape[::-1] != size:
-            raise CalibrationError(
-                f"the {side} picture of pair {name} is {image.shape[1]}x{image.shape[0]} px but the first picture "
-                f"{size[0]}x{size[1]}; use pictures of one size from both cameras"
-            )
+def _other_sizes(name: str, images: Sequence[Image], size: tuple[int, int] | None) -> list[str]:
+    """Return which pictures of a pair are of another size than the first one, in words."""
+    return [
+        f"the {side} picture of pair {name} is {image.shape[1]}x{image.shape[0]} px but the first picture "
+        f"{size[0]}x{size[1]}"
+        for side, image in zip(SIDES, images, strict=False)
+        if size and image.shape[::-1] != size
+    ]
 
 
 def _too_few(
     pairs: Sequence[BoardPair],
     rejected: Sequence[Rejected],
-    unread: Sequence[str],
+    useless: Sequence[str],
     board: Board,
     other_sizes: Sequence[tuple[int, int]],
 ) -> str:
@@ -266,9 +268,9 @@ def _too_few(
     size = max(board.columns, board.rows), min(board.columns, board.rows)
     text = f"{len(pairs)} of {count} pairs show the {size[0]}x{size[1]} board in both images; {LEAST_PAIRS} are needed"
     other = [found for found in other_sizes if found != size]
-    if unread:
-        text = f"{text}; {len(unread)} can't be read, the first: {unread[0]}"
-    if len(rejected) == len(unread):
+    if useless:
+        text = f"{text}; {len(useless)} can't be used, the first: {useless[0]}"
+    if len(rejected) == len(useless):
         return f"{text}; take more pictures"
     likely = max(set(other), key=other.count, default=size)
     if pairs or other.count(likely) < LEAST_PAIRS:  # a few may be mistaken

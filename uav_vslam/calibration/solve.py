@@ -151,9 +151,17 @@ def board_pose(corners: Corners, camera: PinholeCamera) -> Pose:
     """
     ideal = camera.undistort(corners.pixels)
     good = np.isfinite(ideal).all(axis=1)
-    found, rotation, t = cv2.solvePnP(corners.points_board[good], ideal[good], camera.K, None, flags=cv2.SOLVEPNP_IPPE)
+    try:
+        found, rotation, t = cv2.solvePnP(
+            corners.points_board[good], ideal[good], camera.K, None, flags=cv2.SOLVEPNP_IPPE
+        )
+    except cv2.error:  # fewer than four corners that the lens can see
+        found = False
     if not found:
-        raise CalibrationError("the pose of the board can't be found in a picture; is the picture of another lens?")
+        raise CalibrationError(
+            "the pose of the board can't be found in a picture; are --board and --model right, and is the picture of "
+            "the same lens?"
+        )
     return Pose(cv2.Rodrigues(rotation)[0], np.ravel(t))
 
 
