@@ -18,6 +18,7 @@ from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 
 ROOM_BYTES = 60_000
+MAPS = ("geojson", "kml")
 
 
 def limited(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -48,11 +49,24 @@ def test_simulate_names_the_bag_and_removes_it(storage: str, tmp_path: Path) -> 
     assert not bag.exists()
 
 
+@pytest.mark.parametrize("options", [["csv"], ["tum"], ["kitti"], *([name, "--datum", "1", "2", "3"] for name in MAPS)])
+def test_export_leaves_no_half_file(options: list[str], tmp_path: Path) -> None:
+    track = tmp_path / "track.txt"
+    track.write_text("".join(f"{0.1 * k:.1f} {k} {0.5 * k} 0 0 0 0 1\n" for k in range(4000)))
+    line = only_line(limited("export", track, "--out", tmp_path / "out", "--format", *options))
+    assert f"{tmp_path / 'out' / 'track'}" in line
+    assert "make room" in line
+    assert [path.name for path in (tmp_path / "out").iterdir() if path.stat().st_size >= ROOM_BYTES] == []
+    assert not list((tmp_path / "out").glob("*.partial"))
+
+
 @pytest.mark.slow
 def test_run_prints_its_table_first(tmp_path: Path) -> None:
     flight, results = tmp_path / "flight", tmp_path / "results"
     record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=8, scale=0.125, seed=3), flight)
     done = limited("run", flight, "--results", results)
-    assert str(results) in only_line(done)
+    line = only_line(done)
+    assert str(results) in line
+    assert line.count("incomplete") == 1
     assert "S-SLAM" in done.stdout
     assert not (results / "latest").exists()

@@ -2,6 +2,7 @@
 """A reader that goes away, or has no such character, costs what it would have read, not the results."""
 
 import dataclasses
+import json
 import os
 import subprocess
 import sys
@@ -48,6 +49,19 @@ def test_an_evaluation_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None
             data = encode(truth_message(sample, frame_id="map", child_frame_id="base_link"))
             recorder.write("/uav1/odometry", "nav_msgs/msg/Odometry", data, sample.stamp_ns)
     check_saved_unread(results, "evaluate", str(bag))
+
+
+@pytest.mark.slow
+def test_findings_that_nobody_reads_are_in_their_file(tmp_path: Path) -> None:
+    bag, findings = tmp_path / "flight", tmp_path / "check.json"
+    record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=4, scale=0.125, seed=3), bag)
+    command = [sys.executable, "-m", "uav_vslam.cli.main", "check", str(bag), "--json", str(findings)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    process.communicate()
+    assert process.returncode == BROKEN_PIPE
+    assert "vehicles" in json.loads(findings.read_text())
 
 
 def test_a_comparison_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:

@@ -51,9 +51,11 @@ def run(args: argparse.Namespace) -> int:
     cv2.setNumThreads(1)
     bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles))
     judged = _judge(bags, configs)
-    print("\n\n".join(text(survey, inspection) for survey, inspection in judged))
-    if args.json:
-        write_json(args.json, {"vehicles": [tree(survey, inspection) for survey, inspection in judged]})
+    try:
+        print("\n\n".join(text(survey, inspection) for survey, inspection in judged))  # a full disk must not cost it
+    finally:  # nor a reader that has closed the pipe the file
+        if args.json:
+            write_json(args.json, {"vehicles": [tree(survey, inspection) for survey, inspection in judged]})
     return 0 if all(inspection.usable for _, inspection in judged) else CANT_RUN
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import add_datum, datum_of
+from uav_vslam.cli.messages import DISK_FULL
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.trajectory import Trajectory
@@ -49,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         written = _write_map(tracks, folder, args) if args.format in MAPS else _write_each(tracks, folder, args)
     except OSError as error:
+        if error.errno in DISK_FULL:
+            raise
         raise ConfigError(
             f"{error.filename or folder}: can't be written ({error.strerror}); choose another folder by --out"
         ) from None

@@ -6,7 +6,6 @@ imported, and the verbs themselves import late, so that `--help` is quick.
 """
 
 import argparse
-import errno
 import importlib
 import io
 import keyword
@@ -17,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from uav_vslam import __version__
+from uav_vslam.cli.messages import DISK_FULL
 from uav_vslam.errors import UavVslamError, WorkerEnded
 from uav_vslam.memory import keep_freed_memory
 
@@ -54,7 +54,6 @@ exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (the readab
 first), 130 interrupted, 141 the reader of the output closed the pipe
 """
 FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
-DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

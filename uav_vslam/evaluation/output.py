@@ -122,7 +122,7 @@ def _dated_folder(root: Path, name: str) -> Iterator[Path]:
     except BaseException as error:
         incomplete = folder.rename(f"{folder}.incomplete")
         if isinstance(error, OSError):  # of a write, which knows no name or the folder's former one
-            error.filename = str(error.filename or incomplete).replace(str(folder), str(incomplete))
+            error.filename = str(error.filename or folder).replace(str(folder), str(incomplete))
         raise
 
 

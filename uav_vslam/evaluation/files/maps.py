@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
+from uav_vslam.evaluation.files.whole import whole
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.types import NS_PER_S
 
@@ -36,7 +37,8 @@ def write_geojson(tracks: Mapping[str, Trajectory], path: Path, datum: Datum) ->
         }
         for name, track in tracks.items()
     ]
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}) + "\n", encoding="utf-8")
+    with whole(path) as partial:
+        partial.write_text(json.dumps({"type": "FeatureCollection", "features": features}) + "\n", encoding="utf-8")
     return path
 
 
@@ -79,7 +81,8 @@ def write_kml(tracks: Mapping[str, Trajectory], path: Path, datum: Datum) -> Pat
         _add(line, "altitudeMode", "absolute")
         corners = _rounded(to_geodetic(track.positions, datum))
         _add(line, "coordinates", " ".join(",".join(map(str, corner)) for corner in corners))
-    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    with whole(path) as partial:
+        ElementTree.ElementTree(root).write(partial, encoding="utf-8", xml_declaration=True)
     return path
 
 

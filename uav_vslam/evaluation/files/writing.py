@@ -10,6 +10,7 @@ import numpy as np
 
 from uav_vslam.evaluation.files.kitti_axes import to_kitti
 from uav_vslam.evaluation.files.reading import UPPER
+from uav_vslam.evaluation.files.whole import whole
 from uav_vslam.evaluation.trajectory import Trajectory
 
 POSE_TITLES = ("#stamp_ns", "x_m", "y_m", "z_m", "q_w", "q_x", "q_y", "q_z")
@@ -19,7 +20,9 @@ COVARIANCE_TITLES = tuple(f"cov_{ERROR_PARTS[i]}_{ERROR_PARTS[j]}" for i, j in z
 
 def write_json(path: Path, tree: dict[str, Any]) -> None:
     """Write a tree as JSON, which holds neither NaN nor infinity."""
-    path.write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(tree, indent=2, allow_nan=False) + "\n"
+    with whole(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def write_tum(trajectory: Trajectory, path: Path) -> Path:
@@ -57,7 +60,8 @@ def _csv_rows(trajectory: Trajectory) -> Iterable[str]:
 
 
 def _write(path: Path, lines: Iterable[str]) -> Path:
-    path.write_text("".join(lines), encoding="ascii")
+    with whole(path) as partial:
+        partial.write_text("".join(lines), encoding="ascii")
     return path
 
 
