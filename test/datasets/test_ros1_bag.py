@@ -10,6 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from uav_vslam.config import InputConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
+from uav_vslam.datasets.cdr import decode
 from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.errors import BagError
 from uav_vslam.studies.recordings.ros1 import write_ros1
@@ -50,6 +51,19 @@ def test_a_truncated_bag_is_named_with_what_restores_it(ros1_bag: Path, tmp_path
     broken.write_bytes(ros1_bag.read_bytes()[:-5000])
     with pytest.raises(BagError, match=r"broken\.bag is damaged.*restore its index by `rosbag reindex`"):
         topics_of([broken])
+
+
+def test_a_message_that_can_not_be_read_costs_itself(tmp_path: Path) -> None:
+    types = get_typestore(Stores.ROS1_NOETIC)
+    reading = types.serialize_ros1(types.types["std_msgs/msg/Float64"](1.5), "std_msgs/msg/Float64")
+    with Writer(tmp_path / "faulty.bag") as writer:
+        connection = writer.add_connection("/imu", "std_msgs/msg/Float64", typestore=types)
+        for stamp_ns, data in enumerate((reading, b"\1\2\3", reading)):
+            writer.write(connection, stamp_ns, data)
+    first, faulty, last = iter_raw([tmp_path / "faulty.bag"])
+    assert [decode(raw).data for raw in (first, last)] == [1.5, 1.5]
+    with pytest.raises(BagError, match="/imu at 1 ns: not a valid std_msgs/msg/Float64"):
+        decode(faulty)
 
 
 def test_names_without_a_slash_are_of_no_namespace(tmp_path: Path) -> None:

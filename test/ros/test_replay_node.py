@@ -244,6 +244,18 @@ def test_what_the_recorder_s_clock_stamped_comes_with_the_inputs_around_it(bags:
     assert "/uav1/right/camera_info" in dict(stamps)
 
 
+def test_a_message_without_content_ends_its_bag_as_damage_does(bags: list[Path], tmp_path: Path) -> None:
+    """As one of a ROS 1 bag that can't be read has none: its frame would be waited for in vain."""
+    emptied = [raw for raw in iter_raw([bags[0]]) if raw.topic == "/uav1/imu/data_raw"][20]
+
+    def without(raw: RawMessage) -> list[bytes]:
+        return [b"" if raw == emptied else raw.data]
+
+    recording = Recording([rewritten(bags[0], tmp_path / "emptied", without)])
+    assert sum(message.topic == "/uav1/imu/data_raw" for message in recording.messages()) == 20
+    assert f"/uav1/imu/data_raw at {emptied.stamp_ns} ns can't be read" in recording.damage[0]
+
+
 def test_separately_recorded_static_transforms_are_all_kept(bags: list[Path], tmp_path: Path) -> None:
     def one_by_one(raw: RawMessage) -> list[bytes]:
         if raw.topic != "/tf_static":

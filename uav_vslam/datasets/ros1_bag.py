@@ -28,6 +28,8 @@ def messages(
 ) -> Iterator[tuple[str, str, int, bytes]]:
     """Yield topic, type, recording stamp [ns] and CDR bytes of the messages whose type ROS 2 has, in recorded order.
 
+    The bytes of a message that can't be read are empty: it costs itself, as in a bag of ROS 2.
+
     Args:
         file: the bag.
         wanted: topics; None for all.
@@ -46,8 +48,11 @@ def messages(
         types = _ros1_types((one.msgtype, one.msgdef.data) for one in chosen)
         for connection, stamp_ns, data in reader.messages(chosen):
             name = _type_of(connection)
-            built = types.deserialize_ros1(data, connection.msgtype)
-            yield connection.topic, name, stamp_ns, encode(_converted(built, name, store))
+            try:
+                encoded = encode(_converted(types.deserialize_ros1(data, connection.msgtype), name, store))
+            except Exception:  # rosbags' generated code raises many kinds of errors on wrong bytes
+                encoded = b""
+            yield connection.topic, name, stamp_ns, encoded
 
 
 def _ros1_types(recorded: Iterable[tuple[str, str]]) -> Typestore:

@@ -128,7 +128,10 @@ class Recording:
 
     def _until_broken(self, path: Path, topics: Sequence[str]) -> Iterator[RawMessage]:
         try:
-            yield from iter_raw([path], topics)
+            for raw in iter_raw([path], topics):
+                if not raw.data:
+                    raise BagError(f"{path}: a message on {raw.topic} at {raw.stamp_ns} ns can't be read")
+                yield raw
         except BagError as error:
             self.damage.append(str(error))
 
