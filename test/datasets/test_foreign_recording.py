@@ -28,7 +28,7 @@ from uav_vslam.studies.recordings.foreign import (
     with_imu_edge,
     without,
 )
-from uav_vslam.types import ImuSample, StereoFrame
+from uav_vslam.types import NS_PER_S, ImuSample, StereoFrame
 
 
 def events(bag: Path, config: InputConfig | None = None) -> list[ImuSample | StereoFrame]:
@@ -63,6 +63,14 @@ def test_stereo_stamps_three_milliseconds_apart(tiny_bag: Path, tmp_path: Path) 
     flight = open_flight(bag, "uav1", config)
     assert not [event for event in flight.iter_events() if isinstance(event, StereoFrame)]
     assert "3 ms apart" in flight.unpaired_reason()
+
+
+def test_cameras_of_different_clocks_are_named(tiny_bag: Path, tmp_path: Path) -> None:
+    later = edited("/uav1/right/image_raw", lambda image: shifted(image, 1000 * NS_PER_S))
+    flight = open_flight(rewritten(tiny_bag, tmp_path / "bag", later), "uav1")
+    reason = flight.unpaired_reason()
+    assert "s apart (median): their clocks differ" in reason
+    assert "pair_tolerance_s" not in reason
 
 
 def test_a_kalibr_file_replaces_camera_info_and_static_frames(tiny_bag: Path, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from uav_vslam.datasets.messages import (
     truth_of,
 )
 from uav_vslam.datasets.rosbag import iter_raw, iter_readable, names_of
-from uav_vslam.datasets.stereo_sync import PairTolerance, StereoPairer
+from uav_vslam.datasets.stereo_sync import LATE_NS, PairTolerance, StereoPairer
 from uav_vslam.datasets.truth_track import TruthTrack, truth_track
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
@@ -114,10 +114,12 @@ class BagFlight:
         apart = self.stamps_apart_ns()
         if len(apart) == 0:
             return f"{self.left_topic} or {self.right_topic} holds no image"
-        return (
-            f"the nearest stamps of {self.left_topic} and {self.right_topic} are {np.median(apart) / 1e6:.3g} ms apart "
-            "(median); see input.pair_tolerance_s"
-        )
+        nearest_are = f"the nearest stamps of {self.left_topic} and {self.right_topic} are"
+        if np.median(apart) > LATE_NS:
+            return (
+                f"{nearest_are} {np.median(apart) / NS_PER_S:.3g} s apart (median): their clocks differ; use one clock"
+            )
+        return f"{nearest_are} {np.median(apart) / 1e6:.3g} ms apart (median); see input.pair_tolerance_s"
 
     def _stamps_ns(self, topic: str, first: int | None) -> NDArray[np.int64]:
         images = itertools.islice(self._images(topic), first)
