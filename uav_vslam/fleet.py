@@ -215,6 +215,11 @@ class LinkTransport:
     def __init__(self, air: Air, vehicle: str) -> None:
         self._air, self._vehicle = air, vehicle
 
+    @property
+    def now_ns(self) -> int:
+        """Time of the last delivery [ns]."""
+        return self._air.now_ns
+
     def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
         """Deliver arriving packets to a receiver, which ignores them in the mode none."""
         self._air.receivers[self._vehicle] = receiver

@@ -14,7 +14,7 @@ from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.inbox import KEPT_PER_PEER
 from uav_vslam.fleet import Air, LinkTransport, Sent
-from uav_vslam.slam.packet import PacketPolicy, make_packet
+from uav_vslam.slam.packet import PacketPolicy, make_packet, payload_bytes
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
 
 RELAY = FusionConfig(relay=True, feedback=True)
@@ -187,3 +187,37 @@ def test_after_a_restart_of_the_clock_packets_are_sent_within_the_same_budget(
         vehicle.exchange.restart()
     assert len(vehicle.listeners["uav2"].received) == 6
     assert vehicle.exchange.outbox.sent_bytes_per_s == pytest.approx(vehicle.exchange.outbox.bytes_sent / 5.0)
+
+
+@pytest.mark.parametrize("own_epochs", [0, 3])
+def test_a_vehicle_without_epochs_relays_what_its_budget_earns(
+    make_joint: Callable[..., JointInformation], make_small_packet: Maker, own_epochs: int
+) -> None:
+    """It only relays, or its back end has stopped. The sender's clock is a minute behind: no stamp is too far ahead."""
+    size = payload_bytes(make_small_packet(1))
+    vehicle = Exchanging(dataclasses.replace(RELAY, budget_bytes_per_s=size))
+    for second in range(100, 160):
+        vehicle.air.now_ns = second * NS_PER_S
+        if second < 100 + own_epochs:
+            vehicle.epoch(make_joint([[1.0, 2.0, 0.0]], np.eye(9), stamp_ns=second * NS_PER_S))
+        vehicle.comes("uav2", make_small_packet(second - 60))
+    relayed = sum(packet.vehicle == "uav2" for _, packet in vehicle.listeners["uav3"].received)
+    assert 50 <= relayed <= 60
+    assert vehicle.exchange.outbox.bytes_sent <= size * (60 + 1)
+    assert vehicle.exchange.outbox.sent_bytes_per_s == pytest.approx(size, rel=0.2)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_the_first_epoch_after_relayed_packets_does_not_refill_the_budget(
+    make_joint: Callable[..., JointInformation], make_small_packet: Maker, reset: bool
+) -> None:
+    vehicle, joint = Exchanging(dataclasses.replace(RELAY, budget_bytes_per_s=10_000)), make_joint
+    if reset:
+        vehicle.epoch(joint([[1.0, 2.0, 0.0]], np.eye(9), stamp_ns=10**18))
+        vehicle.fusion.restart()
+        vehicle.exchange.restart()
+    assert vehicle.comes("uav2", make_small_packet(1)) == {"uav3", "uav4"}
+    vehicle.epoch(joint([[1.0, 2.0, 0.0]], np.eye(9), stamp_ns=10**18))
+    outbox = vehicle.exchange.outbox
+    assert outbox.packets_sent == 2 + reset
+    assert outbox.available(10**18) == 10_000 - outbox.bytes_sent

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fusion node on its radio: modes that change in flight, a hard budget, peers that come late or become silent."""
 
+import itertools
 import os
 import socket
 from collections.abc import Callable, Iterator
@@ -376,6 +377,19 @@ def test_a_relay_forwards_new_packets_unchanged(fly: Callable[..., Flight], rela
     assert flight.received == ([direct, sent_on] if relay else [])
     assert flight.node._exchange.outbox.packets_sent == len(flight.received)
     assert sum(flight.node.counts[key] for key in list(flight.node.counts) if key.startswith("dropped/")) == 0
+
+
+def test_a_vehicle_without_a_back_end_goes_on_relaying_within_its_budget(fly: Callable[..., Flight]) -> None:
+    flight = fly("fusion.relay:=true", "fusion.budget_bytes_per_s:=2000", peers="[uav2, uav3]")
+    publisher, seconds = flight.peer("wideband"), itertools.count(1)
+    outbox = flight.node._exchange.outbox
+
+    def relays_more_than_it_began_with() -> bool:
+        publisher.publish(flight.packet(next(seconds)))
+        return outbox.bytes_sent > 2 * 2000
+
+    assert flight.spin(relays_more_than_it_began_with)
+    assert flight.node.counts["dropped/budget"] > 0
 
 
 def test_a_packet_of_a_vehicle_that_is_not_of_the_fleet_is_refused(fly: Callable[..., Flight]) -> None:

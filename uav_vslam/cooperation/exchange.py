@@ -40,6 +40,10 @@ class Transport(Protocol):
     def expected_copies(self) -> int:
         """Transmissions that a packet to all peers takes once all of them listen."""
 
+    @property
+    def now_ns(self) -> int:
+        """Time that passes with or without own epochs, from any origin [ns]."""
+
     def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
         """Change to the communication mode of the settings; later packets go to the receiver."""
 
@@ -81,7 +85,7 @@ class Exchange:
         self._fusion, self._peers, self._transport, self._on_drop = fusion, tuple(peers), transport, on_drop
         self.settings = settings
         self._channels: tuple[str, bool] | None = None  # mode, and whether feedback is sent
-        self.outbox = Outbox(settings)
+        self.outbox = Outbox(settings, lambda: transport.now_ns)
         self.received_bytes: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
 
@@ -160,9 +164,9 @@ class Exchange:
     def _reserve(self, packet: LandmarkPacket, copies: int = 1) -> bool:
         """Charge a packet to the budget, or count it as held back: the next epoch's replaces it.
 
-        The time is that of the last own epoch: the stamp of a peer's packet may be wrong.
+        The time is the own one: the stamp of a peer's packet may be wrong.
         """
-        size, now_ns = payload_bytes(packet) * copies, self.outbox.now_ns
+        size, now_ns = payload_bytes(packet) * copies, self.outbox.budget_ns()
         left = self.outbox.available(now_ns)
         if self.outbox.try_reserve(now_ns, size):
             return True

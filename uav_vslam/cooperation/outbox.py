@@ -2,7 +2,13 @@
 """The byte budget of a vehicle: every packet is charged to it, and one that exceeds it is not sent.
 
 A packet is self-contained, so none is resent: the next epoch's replaces the one held back.
+
+The budget counts by the stamps of the own epochs. While none come, as in a vehicle that only relays or whose back end
+has stopped, it counts on by the transport's clock; no peer's stamp can fill it.
 """
+
+import time
+from collections.abc import Callable
 
 from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.cooperation.budget import ByteBudget
@@ -11,6 +17,7 @@ from uav_vslam.types import NS_PER_S
 
 SILENT_EPOCHS = 4  # narrowband: after so many epochs without a peer, only one epoch in so many sends a packet
 SAVED_EPOCHS = 2.0  # limit of the unspent budget: epoch lengths vary by a frame, and narrowband saves for a packet
+NO_EPOCHS_S = 5.0  # own epochs have stopped; in a replay a busy computer may take seconds for one
 WORTH_EPOCHS = 1.25  # budget that a narrowband packet waits for: a fifth of a small packet is overhead
 
 
@@ -22,14 +29,17 @@ class Outbox:
         now_ns: stamp of the last epoch; 0 before the first.
     """
 
-    def __init__(self, config: FusionConfig) -> None:
+    def __init__(self, config: FusionConfig, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        """Start with the settings, and a clock that goes on without own epochs [ns]."""
+        self._clock = clock
         self.packets_sent = 0
         self.bytes_sent = 0
-        self._first_ns: int | None = None  # stamp of the first epoch
+        self._first_ns: int | None = None  # stamp of the first epoch, or packet relayed before
         self._last_ns: int | None = None  # of the last packet
         self._flown_ns = 0  # before the clock was set
         self._last_received_ns = 0  # own time of the last packet of any peer
         self.now_ns = 0
+        self._begin_clock()
         self._silent_epochs = 0
         self._granted: tuple[int, int, int] | None = None  # arguments of the current budget
         self.configure(config)
@@ -52,14 +62,22 @@ class Outbox:
 
     def restart_clock(self) -> None:
         """Go on by stamps that may be older; the budget is not refilled."""
+        self._follow_another_clock()
+        self._last_received_ns = self.now_ns = 0
+        self._begin_clock()
+
+    def _begin_clock(self) -> None:
+        self._has_epoch = False
+        self._clock_ns = self._clock()  # at the last epoch; while there is none, at the beginning
+
+    def _follow_another_clock(self) -> None:
         self._flown_ns = self._flown()
         self._first_ns = self._last_ns = None
-        self._last_received_ns = self.now_ns = 0
         self._budget.restart_clock()
 
     @property
     def sent_bytes_per_s(self) -> float:
-        """Mean payload rate from the first epoch to the one after the last packet [B/s]."""
+        """Mean payload rate from the first epoch, or relayed packet, to the epoch after the last packet [B/s]."""
         return self.bytes_sent / (self._flown() / NS_PER_S + self._epoch_s)
 
     def _flown(self) -> int:
@@ -79,7 +97,7 @@ class Outbox:
         A radio full of packets leaves no room for discovery, which then takes minutes: once no peer has been received
         for some epochs, most are left to discovery.
         """
-        self.now_ns = stamp_ns
+        self._count_epoch(stamp_ns)
         if self._mode != "narrowband":
             return self._mode != "none"
         self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
@@ -87,6 +105,16 @@ class Outbox:
         self._silent_epochs = self._silent_epochs + 1 if silent else 0
         to_discovery = self._silent_epochs > SILENT_EPOCHS and self._silent_epochs % SILENT_EPOCHS != 1
         return not to_discovery and self.available(stamp_ns) >= min(self._worth_bytes * copies, self._most_bytes)
+
+    def _count_epoch(self, stamp_ns: int) -> None:
+        if not self._has_epoch:  # the stamps begin anywhere: they do not continue the time before
+            self._follow_another_clock()
+        self._has_epoch, self.now_ns, self._clock_ns = True, stamp_ns, self._clock()
+
+    def budget_ns(self) -> int:
+        """Return the time by which the budget counts now: the last epoch's stamp, later once none have come [ns]."""
+        waited_ns = self._clock() - self._clock_ns - round(NO_EPOCHS_S * NS_PER_S) * self._has_epoch
+        return self.now_ns + max(waited_ns, 0)
 
     def available(self, now_ns: int) -> int:
         """Return the largest payload allowed now [byte]."""
@@ -96,9 +124,8 @@ class Outbox:
         """Charge a packet of that stamp and payload; return False, without charging, if it exceeds the budget."""
         if not self._budget.spend(stamp_ns, size_bytes):
             return False
-        if stamp_ns:  # what is relayed before the first epoch has none
-            self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
-            self._last_ns = stamp_ns
+        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
+        self._last_ns = stamp_ns
         self.packets_sent += 1
         self.bytes_sent += size_bytes
         return True

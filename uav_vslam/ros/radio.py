@@ -5,6 +5,7 @@ They are on a domain of its own (`radio_participant`) or on the vehicle's.
 """
 
 import copy
+import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -122,6 +123,12 @@ class Radio:
     def expected_copies(self) -> int:
         """Transmissions of a packet once all peers subscribe, and nobody else."""
         return max(len(self._peers), 1) if self._host is not self._node else 1
+
+    @property
+    def now_ns(self) -> int:
+        """Time of the computer, which no clock that is set moves, or of a replay [ns]."""
+        clock = self._node.get_clock()
+        return clock.now().nanoseconds if clock.ros_time_is_active else time.monotonic_ns()
 
     def look_for_namesake(self) -> None:
         """Listen to the own packets' topic while somebody else publishes it; to be called now and then.
