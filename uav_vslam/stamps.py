@@ -72,6 +72,8 @@ class _Stream(Generic[T]):
     Attributes:
         jump_ns: largest step ahead that is no jump [ns].
         newest_ns: newest stamp on the time line; None before the first.
+        first_ns: first stamp on the time line [ns].
+        began, reached: arrival numbers of the first and the newest one.
         most: largest number of candidates that are kept.
         run: arrival number, stamp and item of the candidates that agree with each other.
     """
@@ -79,6 +81,9 @@ class _Stream(Generic[T]):
     jump_ns: int
     most: int
     newest_ns: int | None = None
+    first_ns: int = 0
+    began: int = 0
+    reached: int = 0
     run: deque[tuple[int, int, T]] = field(default_factory=deque)
 
     @property
@@ -90,6 +95,12 @@ class _Stream(Generic[T]):
     def off_ns(self) -> int:
         """Step from the newest stamp on the time line to the run."""
         return self.run[0][1] - (self.run[0][1] if self.newest_ns is None else self.newest_ns)
+
+    def go_on(self, stamp_ns: int, arrival: int) -> None:
+        """Take a stamp on the time line."""
+        if self.newest_ns is None:
+            self.first_ns, self.began = stamp_ns, arrival
+        self.newest_ns, self.reached = stamp_ns, arrival
 
 
 class TimeLine(Generic[T]):
@@ -145,7 +156,7 @@ class TimeLine(Generic[T]):
         stream = self._streams[name]
         if self._is_next(name, stamp_ns):
             self._refuse_run(name)
-            stream.newest_ns = stamp_ns
+            stream.go_on(stamp_ns, self._arrivals)
             return Admitted([(name, item)])
         newest_ns = stream.newest_ns
         if newest_ns is not None and (stamp_ns == newest_ns or (stamp_ns < newest_ns and not self._back)):
@@ -218,14 +229,17 @@ class TimeLine(Generic[T]):
             return self._is_confirmed(name) and abs(stream.run_ns - jumped.run_ns) <= self._apart_ns
         if stream.newest_ns is None:
             return True
-        return jumped.off_ns > 0 and abs(stream.newest_ns - jumped.run_ns) <= self._apart_ns
+        if abs(stream.newest_ns - jumped.run_ns) > self._apart_ns:
+            return False
+        return jumped.off_ns > 0 or _has_begun_after(stream, jumped)
 
     def _moved(self) -> list[tuple[str, T]]:
         """Go on at the new stamps, and return what was held, in order of arrival."""
         self.jumps += 1
         held = [(number, name, item) for name, s in self._streams.items() for number, _, item in s.run]
         for stream in self._streams.values():
-            stream.newest_ns = stream.run_ns if stream.run else stream.newest_ns
+            if stream.run:
+                stream.go_on(stream.run_ns, self._arrivals)
             stream.run.clear()
         return [(name, item) for _, name, item in sorted(held, key=lambda entry: entry[0])]
 
@@ -238,3 +252,10 @@ class TimeLine(Generic[T]):
         still = [key for key in self._streams if key != name and not self._is_confirmed(key)]
         text = f"{name} stamps jump by {stream.off_ns / NS_PER_S:+.1f} s to {stream.run_ns} ns"
         return f"{text}, but not those of {' and '.join(still)}: do their clocks agree?" if still else text
+
+
+def _has_begun_after(stream: _Stream[T], jumped: _Stream[T]) -> bool:
+    """Return whether a stream has only been where another has jumped to: it began while that was held back."""
+    if jumped.newest_ns is None or stream.began < jumped.reached:
+        return False
+    return abs(stream.first_ns - jumped.run[0][1]) < abs(stream.first_ns - jumped.newest_ns)

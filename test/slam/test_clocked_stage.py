@@ -108,6 +108,27 @@ def test_a_clock_set_before_the_first_features_begins_a_session_that_flies(flown
 
 
 @pytest.mark.parametrize("policy", ["bridge", "reset"])
+@pytest.mark.parametrize("offset_s", [-3600.0, -10.0, -2.0])
+@pytest.mark.parametrize("ahead", [0, 2, 5])
+def test_features_that_begin_as_the_clock_is_set_back_fly(flown, offset_s: float, policy: str, ahead: int) -> None:
+    """The INS holds its increments until it is sure of the jump, so some features of the new clock may come before."""
+    flight = flown(1)
+    clocked = make(flight, policy, start=False)
+    for _, increment in flight.frames[1:8]:
+        clocked.add_increment(moved(increment, -offset_s))
+    clocked.start(dataclasses.replace(flight.vehicle.initial))
+    for features, _ in flight.frames[1 : 1 + ahead]:
+        clocked.add_features(features)
+    for _, increment in flight.frames[1 : 1 + ahead]:
+        clocked.add_increment(increment)
+    outputs = feed(clocked, flight.frames[1 + ahead :])
+    assert clocked.line.faults == {}
+    assert clocked.stage.session == SESSION + 1
+    assert outputs[-1].report.pose.stamp_ns == flight.frames[-1][0].stamp_ns
+    assert worst_nees(flight, outputs, 0.0) <= 3.0
+
+
+@pytest.mark.parametrize("policy", ["bridge", "reset"])
 @pytest.mark.parametrize("offset_s", [-3600.0, 3600.0])
 def test_a_start_that_no_frame_has_used_is_that_of_the_clock_it_is_of(flown, offset_s: float, policy: str) -> None:
     """It may come before the motion has shown that the clock was set."""
