@@ -15,6 +15,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.frame_output import FrameOutput
+from uav_vslam.slam.frame_queue import MAX_WAITING
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.saved_map import MapOrigin, SavedMap, save_map
 from uav_vslam.slam.stage import SlamStage
@@ -40,6 +41,20 @@ def test_an_empty_map_is_refused_wherever_it_comes_from(tmp_path: Path) -> None:
 
 def stamps(outputs: list[FrameOutput]) -> list[int]:
     return [output.report.pose.stamp_ns for output in outputs]
+
+
+@pytest.mark.parametrize("missing", ["rig", "start", "both"])
+def test_frames_that_no_longer_wait_are_counted_by_what_they_waited_for(flown, missing: str) -> None:
+    flight, later = flown(1), 7
+    stage = make(flight, rig=missing == "start")
+    if missing == "rig":
+        stage.start(flight.vehicle.initial)
+    features = flight.frames[1][0]
+    for number in range(MAX_WAITING + later):
+        stage.add_features(dataclasses.replace(features, stamp_ns=features.stamp_ns + 50_000_000 * number))
+        assert list(stage.run()) == []
+    reason = "before_start" if missing == "start" else "before_rig"
+    assert stage.dropped == {**dict.fromkeys(stage.dropped, 0), reason: later}
 
 
 def test_frames_wait_for_the_rig_and_the_start_state(flown) -> None:

@@ -16,6 +16,7 @@ class FrameQueue:
     Attributes:
         start_ns: stamp of the start state; None until it is known, and nothing is ready before.
         before_start: frames dropped because they are older than the start state.
+        before_rig: frames dropped because too many waited for the calibration.
         lost: images whose features did not arrive in time; replaced by an empty frame.
         without_motion: frames dropped because they are inside an increment, or because they are repeated.
         motion_refused: increments dropped because they begin before the stamp reached.
@@ -26,6 +27,7 @@ class FrameQueue:
     def __init__(self, start_ns: int | None = None) -> None:
         self.start_ns = start_ns
         self.before_start = 0
+        self.before_rig = 0
         self.lost = 0
         self.without_motion = 0
         self.motion_refused = 0
@@ -36,10 +38,10 @@ class FrameQueue:
         self._features: deque[StereoFeatures] = deque(maxlen=MAX_WAITING)
         self._increments: deque[ImuIncrement] = deque(maxlen=MAX_WAITING)
 
-    def add_features(self, features: StereoFeatures) -> None:
-        """Add a frame's features."""
+    def add_features(self, features: StereoFeatures, *, has_rig: bool = True) -> None:
+        """Add a frame's features; without the calibration no frame is taken from the queue."""
         if len(self._features) == MAX_WAITING:
-            self._drop_oldest_frame()
+            self._drop_oldest_frame(has_rig=has_rig)
         self._features.append(features)
         self._ahead = 0
 
@@ -122,9 +124,11 @@ class FrameQueue:
             self._increments.popleft()
             self.motion_refused += 1
 
-    def _drop_oldest_frame(self) -> None:
+    def _drop_oldest_frame(self, *, has_rig: bool) -> None:
         self._features.popleft()
-        if self.start_ns is None:
+        if not has_rig:
+            self.before_rig += 1
+        elif self.start_ns is None:
             self.before_start += 1
         else:
             self.without_motion += 1

@@ -92,6 +92,7 @@ class SlamStage:
             before_start += self._search.dropped + (self._search.waiting if self.initial is None else 0)
         return {
             "before_start": before_start,
+            "before_rig": self._queue.before_rig,
             "frame_lost": self._queue.lost,
             "without_motion": self._queue.without_motion,
             "motion_lost": self._flight.motion_lost if self._flight is not None else 0,
@@ -204,7 +205,7 @@ class SlamStage:
 
     def add_features(self, features: StereoFeatures) -> None:
         """Add a frame's features."""
-        self._queue.add_features(features)
+        self._queue.add_features(features, has_rig=self.rig is not None)
 
     def add_increment(self, increment: ImuIncrement) -> None:
         """Add the motion between two images."""
