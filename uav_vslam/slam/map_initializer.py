@@ -39,6 +39,11 @@ class MapInitializer(InFlightInitializer):
         super().__init__(rig, config)
         self._locator = MapLocator(saved, rig, config)
 
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+        super().configure(config)
+        self._locator.configure(config)
+
     def _start(self) -> Start:
         window = self._window()
         estimate = self._start_state(window)

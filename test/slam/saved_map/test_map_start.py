@@ -75,6 +75,20 @@ def test_the_vehicle_knows_within_seconds_where_it_is(mapped, over: dict[int, Ve
     assert np.median(errors_m) < 2.0  # landmark level, 1 px; the map itself errs by some decimetres
 
 
+def test_a_search_goes_on_with_settings_that_have_changed(mapped) -> None:
+    """As one that has had them from the beginning, to the bit."""
+    flight = mapped(1)
+    vague = dataclasses.replace(flight.config, backend=dataclasses.replace(flight.config.backend, sigma_px=4.0))
+    rig, starts = flight.vehicles[1].rig, []
+    for first in (flight.config, vague):
+        search = MapInitializer(rig, dataclasses.replace(first, start=StartConfig(method="map")), flight.saved)
+        search.configure(dataclasses.replace(vague, start=StartConfig(method="map")))
+        found = next(start for frame in first_frames(flight) if (start := search.add(*frame)) is not None)
+        starts.append(found.initial)
+    assert starts[0].covariance.tobytes() == starts[1].covariance.tobytes()
+    assert starts[0].state.T_map_body.t.tobytes() == starts[1].state.T_map_body.t.tobytes()
+
+
 def test_the_start_is_where_it_claims_to_be_and_uses_no_frame_again(mapped, over: dict[int, VehicleTrack]) -> None:
     for seed, track in over.items():
         vehicle, start = mapped(seed).vehicles[1], track.start

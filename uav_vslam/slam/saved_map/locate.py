@@ -65,9 +65,13 @@ class MapLocator:
 
     def __init__(self, saved: SavedMap, rig: StereoRig, config: VehicleConfig) -> None:
         self._saved, self._rig = saved, rig
+        self.configure(config)
+        self.reason = ""
+
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
         self._ratio, self._threshold_px = config.backend.min_descriptor_ratio, WIDER_PNP * config.backend.pnp_px
         self._sigma_px, self._floor_m = config.backend.sigma_px, config.fusion.floor_sigma_m
-        self.reason = ""
 
     def locate(self, features: StereoFeatures) -> Located | None:
         """Return where a frame was taken; None if no section has enough landmarks that fit."""
