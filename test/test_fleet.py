@@ -121,7 +121,7 @@ def test_the_epochs_end_with_what_the_counters_say_and_never_fall(tracks: dict[s
         epochs = member.epochs
         outbox = member.exchange.outbox
         assert (epochs[-1].packets_sent, epochs[-1].bytes_sent) == (outbox.packets_sent, outbox.bytes_sent)
-        assert epochs[-1].packets_used == sum(len(record.used) for record in member.fusion.inbox.peers.values())
+        assert epochs[-1].packets_used == sum(record.used for record in member.fusion.inbox.peers.values())
         for before, after in itertools.pairwise(epochs):
             assert before.stamp_ns < after.stamp_ns
             assert before.bytes_sent <= after.bytes_sent

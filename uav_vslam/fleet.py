@@ -156,7 +156,7 @@ def link_epoch(member: CooperativeTrack, stamp_ns: int) -> LinkEpoch:
         bytes_sent=member.exchange.outbox.bytes_sent,
         packets_received=sum(record.received for record in peers),
         bytes_received=sum(member.exchange.received_bytes.values()),
-        packets_used=sum(len(record.used) for record in peers),
+        packets_used=sum(record.used for record in peers),
     )
 
 

@@ -119,7 +119,7 @@ def test_every_packet_received_is_used_dropped_or_waiting(
         if second % 20 == 0:
             vehicle.fusion.restart()
         records = vehicle.fusion.inbox.peers.values()
-        assert all(r.received == len(r.used) + r.dropped.total() + r.waiting for r in records)
+        assert all(r.received == r.used + r.dropped.total() + r.waiting for r in records)
         assert all(r.waiting <= 2 * KEPT_PER_PEER for r in records)
         assert sum(r.received for r in records) + vehicle.fusion.inbox.refused.total() == second
 

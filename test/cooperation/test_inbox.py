@@ -2,6 +2,7 @@
 """At most one packet of a vehicle counts; loss, repetition and disorder on the radio are harmless."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from uav_vslam.cooperation.inbox import (
     MIN_DELAY_S,
     MOST_AHEAD,
     NOTHING_COMMON,
+    RECENTLY_USED,
     SESSION_ENDED,
     SUPERSEDED,
     Inbox,
@@ -95,13 +97,27 @@ def test_each_packet_is_used_dropped_for_one_reason_or_waiting(make_small_packet
     record.record_use(record.packets[0], 3)
     record.record_use(record.packets[0], 2)  # at the next epoch again
     record.record_use(record.packets[1], 0)
-    assert (record.waiting, len(record.used), dict(record.dropped)) == (2, 1, {})
+    assert (record.waiting, record.used, dict(record.dropped)) == (2, 1, {})
     for sequence in range(4, 8):
         inbox.add(make_small_packet(sequence))
     assert dict(record.dropped) == {NOTHING_COMMON: 1, SUPERSEDED: 1}
     record.withdraw()
-    assert (record.received, record.waiting, len(record.used)) == (7, 0, 1)
+    assert (record.received, record.waiting, record.used) == (7, 0, 1)
     assert dict(record.dropped) == {NOTHING_COMMON: 1, SUPERSEDED: 1, SESSION_ENDED: 4}
+
+
+def test_a_record_takes_no_more_memory_however_many_packets_were_used(make_small_packet) -> None:
+    inbox, sizes = Inbox("uav1"), []
+    for sequence in range(1, 3 * RECENTLY_USED):
+        packet = make_small_packet(sequence)
+        inbox.advance(packet.stamp_ns, OWN_SESSION)
+        inbox.add(packet)
+        inbox.peers["uav2"].record_use(packet, 3)
+        sizes.append(len(pickle.dumps(inbox)))
+    record = inbox.peers["uav2"]
+    assert record.used == 3 * RECENTLY_USED - 1
+    assert record.recently_used[-1] == (1, 3 * RECENTLY_USED - 1)
+    assert max(sizes) < 1.05 * sizes[RECENTLY_USED + 100]
 
 
 def test_own_packets_that_come_back_are_refused(make_small_packet) -> None:

@@ -57,8 +57,8 @@ def test_fused_in_flight_is_as_fused_afterwards(
     assert sum(frames) == 3 * FRAMES
     assert states(fleet) == states(afterwards)
     for name, member in fleet.items():
-        used = [len(record.used) for record in member.fusion.inbox.peers.values()]
-        assert used == [len(record.used) for record in afterwards[name].fusion.inbox.peers.values()]
+        used = [record.used for record in member.fusion.inbox.peers.values()]
+        assert used == [record.used for record in afterwards[name].fusion.inbox.peers.values()]
         assert min(used) > 0
         assert not any(output.joint for output in flown[name].outputs)
         kept, recorded = flown[name].landmarks.landmarks(), tracks[name].landmarks.landmarks()

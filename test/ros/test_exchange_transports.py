@@ -70,7 +70,10 @@ class Vehicle:
 
 
 def _counted(inbox: Inbox) -> Any:
-    records = {name: (record.received, dict(record.dropped), record.used) for name, record in inbox.peers.items()}
+    records = {
+        name: (record.received, dict(record.dropped), list(record.recently_used))
+        for name, record in inbox.peers.items()
+    }
     return records, dict(inbox.refused)
 
 

@@ -7,11 +7,11 @@ replayed packets are harmless too: an older session, or a packet received or sup
 as this vehicle has listened. (A replay before the peer's first new packet is accepted as new; that packet then replaces
 it.)
 
-Each received packet of a peer is used, dropped for one reason, or waiting: `received == len(used) + dropped + waiting`.
+Each received packet of a peer is used, dropped for one reason, or waiting: `received == used + dropped + waiting`.
 One that was kept and then put out unused is dropped for the reason that it would have had at its last epoch.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from uav_vslam.cooperation.authentication import Authentication, NoAuthentication
@@ -22,6 +22,7 @@ from uav_vslam.types import NS_PER_S, LandmarkPacket
 
 KEPT_PER_PEER = 4  # recent packets, so that an epoch finds one that is old enough
 MOST_AHEAD = 16  # further ones of a peer that is ahead: with fewer, none would be left when its time comes
+RECENTLY_USED = 1000  # packets whose number is remembered, of a quarter of an hour
 MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that replays are deterministic
 MAX_PEERS = 64  # forged names must not fill the memory
 NAMESAKE_S = 10.0  # one that is silent for so long has gone
@@ -50,8 +51,9 @@ class PeerRecord:
         packets: kept ones of the session that counts, with landmarks, by order.
         arrived: the same and those without.
         received: all that arrived in its name.
-        used: session and sequence of those that shared a landmark at some epoch.
-        last_used: order of the last one of them.
+        used: number of those that shared a landmark at some epoch.
+        recently_used: session and sequence of the last of them.
+        last_used: order of the last one.
         unused: kept ones that were not used so far, by order: why they will have been dropped if they never are.
         dropped: those that will never be used, by reason.
         common_landmarks: shared at the last epoch.
@@ -61,7 +63,8 @@ class PeerRecord:
     packets: list[LandmarkPacket] = field(default_factory=list)
     arrived: list[LandmarkPacket] = field(default_factory=list)
     received: int = 0
-    used: list[tuple[int, int]] = field(default_factory=list)
+    used: int = 0
+    recently_used: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=RECENTLY_USED))
     last_used: tuple[int, int] | None = None
     unused: dict[tuple[int, int], str] = field(default_factory=dict)
     dropped: Counter[str] = field(default_factory=Counter)
@@ -101,7 +104,8 @@ class PeerRecord:
             self.mark(packet, NOTHING_COMMON)
         elif packet.order in self.unused:
             del self.unused[packet.order]
-            self.used.append((packet.session, packet.sequence))
+            self.used += 1
+            self.recently_used.append((packet.session, packet.sequence))
             self.last_used = packet.order
 
     def mark(self, packet: LandmarkPacket, reason: str) -> None:

@@ -67,7 +67,7 @@ def link_counters(member: CooperativeTrack) -> LinkCounters:
         sent_bytes_per_s=member.exchange.outbox.sent_bytes_per_s,
         packets_sent=member.exchange.outbox.packets_sent,
         packets_received=sum(record.received for record in peers),
-        packets_used=sum(len(record.used) for record in peers),
+        packets_used=sum(record.used for record in peers),
         packets_waiting=sum(record.waiting for record in peers),
         dropped=dropped,
     )

@@ -71,7 +71,7 @@ class StatusReporter:
             session=newest.session,
             last_sequence=newest.sequence,
             packets_received=record.received,
-            packets_used=len(record.used),
+            packets_used=record.used,
             packets_waiting=record.waiting,
             received_bytes=self._exchange.received_bytes[name],
             received_bytes_per_s=self._received_rates[name].update(stamp_ns, self._exchange.received_bytes[name]),

@@ -266,8 +266,9 @@ class _PacketMonitor:
         for peer, record in fusion.inbox.peers.items():
             sent = self._sent_ns[peer]
             end_ns = min(sent.values()) + round(link.blackouts[-1] * NS_PER_S)
+            assert record.used == len(record.recently_used), "a flight of more packets than an inbox remembers"
             after = sorted(key for key, stamp_ns in sent.items() if stamp_ns >= end_ns)
-            counts.append(next((k for k, key in enumerate(after, start=1) if key in record.used), len(after)))
+            counts.append(next((k for k, key in enumerate(after, start=1) if key in record.recently_used), len(after)))
         return float(max(counts))
 
     def on_packet(self, fusion: Fusion, packet: LandmarkPacket, size_bytes: int) -> None:
