@@ -8,11 +8,13 @@ import pytest
 
 from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.link import Link
-from uav_vslam.fleet import CooperativeTrack, PacketLink, cooperate
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.fleet import CooperativeTrack, Fleet, PacketLink, cooperate, in_stamp_order, named
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.frame_output import FrameOutput
 
 FRAMES = 40  # 5.5 s: five epochs
 VEHICLES = ("uav1", "uav2", "uav3")
@@ -48,6 +50,37 @@ def test_without_links_every_packet_reaches_every_peer(tracks: dict[str, Vehicle
     assert min(sent.values()) >= 5
     for name, member in fleet.items():
         assert received(member) == {peer: count for peer, count in sent.items() if peer != name}
+
+
+def damaged(output: FrameOutput) -> FrameOutput:
+    """Return a frame whose joint information has lost its positive definiteness."""
+    assert output.joint is not None
+    return dataclasses.replace(output, joint=dataclasses.replace(output.joint, information=-output.joint.information))
+
+
+def test_an_epoch_whose_fusion_diverges_costs_that_vehicle_the_epoch_and_no_other_anything(
+    tracks: dict[str, VehicleTrack],
+) -> None:
+    (at, bad), *_ = [(k, damaged(o)) for k, o in enumerate(tracks["uav2"].outputs) if o.joint is not None][2:]
+    outputs = [*tracks["uav2"].outputs[:at], bad, *tracks["uav2"].outputs[at + 1 :]]
+    faulty = tracks | {"uav2": dataclasses.replace(tracks["uav2"], outputs=outputs)}
+    frames = list(in_stamp_order(named(name, track.outputs) for name, track in faulty.items()))
+    strict, lenient = Fleet(VEHICLES, configs()), Fleet(VEHICLES, configs(), goes_on=True)
+    for frame in frames[: next(k for k, (_, output) in enumerate(frames) if output is bad)]:
+        strict.add(*frame)
+    with pytest.raises(FilterDivergence):
+        strict.add("uav2", bad)
+    for frame in frames:
+        lenient.add(*frame)
+    lenient.land()
+    for name, member in lenient.members.items():
+        assert len(member.poses) == len(tracks[name].outputs)
+        assert len(member.epochs) >= 5 - (name == "uav2")
+        assert list(member.failures) == ([bad.report.pose.stamp_ns] if name == "uav2" else [])
+    warning = lenient.members["uav2"].warning
+    assert "1 of 5 epochs could not be fused" in warning
+    assert "positive definite" in warning
+    assert lenient.members["uav1"].warning == ""
 
 
 def test_each_direction_has_a_link_of_its_own(tracks: dict[str, VehicleTrack]) -> None:

@@ -11,15 +11,18 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange, Receiver
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
+from uav_vslam.errors import FilterDivergence
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.packet import payload_bytes
 from uav_vslam.slam.saved_map import load_map
-from uav_vslam.types import NS_PER_S, LandmarkPacket, LinkEpoch, PoseEstimate
+from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, LinkEpoch, PoseEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,7 @@ class CooperativeTrack:
         poses: fused pose at every own-only frame.
         epochs: traffic up to each fusion epoch.
         fusion_s: processor time of fusion and packet [s], by the epoch's stamp [ns].
+        failures: why epochs could not be fused, by their stamp [ns].
     """
 
     fusion: Fusion
@@ -50,6 +54,18 @@ class CooperativeTrack:
     poses: list[PoseEstimate] = field(default_factory=list)
     epochs: list[LinkEpoch] = field(default_factory=list)
     fusion_s: dict[int, float] = field(default_factory=dict)
+    failures: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def warning(self) -> str:
+        """What the failures amount to; empty without any."""
+        if not self.failures:
+            return ""
+        first_ns, reason = next(iter(self.failures.items()))
+        return (
+            f"{len(self.failures)} of {len(self.failures) + len(self.epochs)} epochs could not be fused, and the fused "
+            f"pose went on by the own motion; the first time at {first_ns} ns: {reason}"
+        )
 
 
 class Fleet:
@@ -65,6 +81,8 @@ class Fleet:
         configs: dict[str, VehicleConfig],
         links: Callable[[str, str], PacketLink] | None = None,
         on_packet: Callable[[Fusion, LandmarkPacket, int], None] = lambda *_: None,
+        *,
+        goes_on: bool = False,
     ) -> None:
         """Prepare.
 
@@ -73,7 +91,9 @@ class Fleet:
             configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor receives.
             links: makes the radio link from a sender to a receiver; without it packets arrive at once.
             on_packet: called with the maker of each packet sent, the packet and its size [byte]; not for relayed ones.
+            goes_on: an epoch whose fusion diverges is recorded, and the flight goes on, as that of the nodes does.
         """
+        self._goes_on = goes_on
         self.members: dict[str, CooperativeTrack] = {}
         self._air = Air(
             vehicles,
@@ -89,16 +109,28 @@ class Fleet:
             exchange.configure(settings)
 
     def add(self, vehicle: str, output: FrameOutput) -> None:
-        """Take the next frame of the fleet, by stamp and vehicle; fuse and send if it is an epoch."""
+        """Take the next frame of the fleet, by stamp and vehicle; fuse and send if it is an epoch.
+
+        Raises:
+            FilterDivergence, LinAlgError: the fusion diverges, and the flight does not go on.
+        """
         member, stamp_ns = self.members[vehicle], output.report.pose.stamp_ns
         if output.joint is not None:
-            self._air.deliver(stamp_ns)
-            began_s = time.process_time()
-            member.fusion.fuse(output.joint)
-            member.exchange.send()
-            member.fusion_s[stamp_ns] = time.process_time() - began_s
-            member.epochs.append(link_epoch(member, stamp_ns))
+            try:
+                self._run_epoch(member, output.joint)
+            except (FilterDivergence, np.linalg.LinAlgError) as error:
+                if not self._goes_on:
+                    raise
+                member.failures[stamp_ns] = str(error)
         member.poses.append(member.fusion.propagate(output.report.pose))
+
+    def _run_epoch(self, member: CooperativeTrack, joint: JointInformation) -> None:
+        self._air.deliver(joint.stamp_ns)
+        began_s = time.process_time()
+        member.fusion.fuse(joint)
+        member.exchange.send()
+        member.fusion_s[joint.stamp_ns] = time.process_time() - began_s
+        member.epochs.append(link_epoch(member, joint.stamp_ns))
 
     def land(self) -> None:
         """Deliver what has arrived by the last frame."""

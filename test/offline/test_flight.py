@@ -2,6 +2,7 @@
 """A fleet is fused while it flies: the same as fused afterwards, from one process or several, and no belief is kept."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.fleet import CooperativeTrack, cooperate
 from uav_vslam.offline.flight import fly
 from uav_vslam.offline.track import track_vehicle
+from uav_vslam.offline.workers import FlightGroup
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.types import StereoFeatures
 
 FRAMES = 40
@@ -83,3 +86,23 @@ def test_what_ends_one_vehicle_ends_the_flight_by_its_name(
     settings = configs | {"uav2": dataclasses.replace(configs["uav2"], start=start)}
     with pytest.raises(UavVslamError, match=told):
         fly([sources[0], blind, sources[2]], settings, workers=workers)
+
+
+def test_a_flight_goes_on_without_the_epochs_whose_fusion_diverges_and_warns_of_them(
+    sources: list[SimulatedSource], configs: dict[str, VehicleConfig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = FlightGroup.frames
+
+    def with_a_fault(group: FlightGroup) -> Iterator[tuple[str, FrameOutput]]:
+        for vehicle, output in frames(group):
+            joint = output.joint
+            if joint is not None and vehicle == "uav2":
+                joint = dataclasses.replace(joint, information=-joint.information)
+            yield vehicle, dataclasses.replace(output, joint=joint)
+
+    monkeypatch.setattr(FlightGroup, "frames", with_a_fault)
+    flown, fleet = fly(sources[:2], configs)
+    assert [len(member.poses) for member in fleet.values()] == [len(track.outputs) for track in flown.values()]
+    assert not any("could not be fused" in text for text in flown["uav1"].warnings)
+    (told,) = [text for text in flown["uav2"].warnings if "could not be fused" in text]
+    assert told.startswith("5 of 5 epochs")

@@ -53,10 +53,12 @@ def fly(
     )
     parts = [sources[k::workers] for k in range(min(workers, len(sources)))]
     flights = group(sources) if len(parts) == 1 else WorkerFlights(group, parts)
-    fleet = Fleet(vehicles, configs, links)
+    fleet = Fleet(vehicles, configs, links, goes_on=True)
     with closing(flights.frames()) as frames:
         for vehicle, output in frames:
             fleet.add(vehicle, output)
             on_frame(1)
     fleet.land()
+    for vehicle, member in fleet.members.items():
+        flights.tracks[vehicle].warnings += [member.warning] if member.warning else []
     return {vehicle: flights.tracks[vehicle] for vehicle in vehicles}, fleet.members
