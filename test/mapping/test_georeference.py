@@ -13,7 +13,7 @@ from geotiff import place
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
-from uav_vslam.mapping.georeference import write_bands, write_picture
+from uav_vslam.mapping.georeference import write_bands, write_parts, write_picture
 from uav_vslam.mapping.raster import Raster
 
 RASTER = Raster(0.5, -4000, 2000, 300, 200)  # two kilometres west, one north of the datum
@@ -95,6 +95,26 @@ def test_overviews_of_every_second_pixel_follow_the_whole_picture_down_to_one_ti
             (series,) = file.series
             whole, second = (level.asarray() for level in series.levels[:2])
         np.testing.assert_array_equal(second, whole[:, ::2, ::2] if len(whole) == 2 else whole[::2, ::2])
+
+
+def test_parts_make_the_same_file_as_the_whole(tmp_path: Path) -> None:
+    raster = Raster(0.5, -300, 77, 1100, 700)
+    whole = np.full((2, *raster.shape), np.nan, np.float32)
+    whole[:, 100:460, 500:900] = RNG.normal(size=(2, 360, 400))
+    asked = []
+
+    def part(window: Raster) -> list[np.ndarray]:
+        asked.append(window)
+        return list(whole[:, *window.within(raster)])
+
+    write_parts(tmp_path / "parts.tif", ["a", "b"], part, raster, DATUM)
+    write_bands(tmp_path / "whole.tif", {"a": whole[0], "b": whole[1]}, raster, DATUM)
+    assert (tmp_path / "parts.tif").read_bytes() == (tmp_path / "whole.tif").read_bytes()
+    assert sum(window.rows * window.columns for window in asked) == raster.rows * raster.columns
+    with tifffile.TiffFile(tmp_path / "parts.tif") as file:
+        levels = [level.asarray() for level in file.series[0].levels]
+    for step, level in enumerate(levels):
+        np.testing.assert_array_equal(level, whole[:, ::-1][:, :: 2**step, :: 2**step])
 
 
 def test_grey_pictures_have_one_band_and_opacity(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_vslam.report.height_picture import height_picture, overlap_picture
+from uav_vslam.report.height_picture import MOST_CELLS, height_picture, overlap_picture
 from uav_vslam.report.mosaic_plots import draw_ground, frame_of
 
 BOUNDS = (-10.0, -5.0, 10.0, 5.0)
@@ -40,6 +40,22 @@ def test_numbers_of_pictures_have_a_scale_of_colours() -> None:
     colours = figure.axes[1]
     assert colours.get_ylabel() == "Pictures"
     assert all(float(value).is_integer() for value in colours.get_yticks())
+
+
+def test_a_large_map_is_drawn_with_as_many_cells_as_the_figure_shows() -> None:
+    height = np.zeros((MOST_CELLS + 1, 3 * MOST_CELLS - 100), np.float32)
+    height[:, :1000] = np.nan
+    figure = height_picture(
+        height, (0.0, 0.0, 0.5 * height.shape[1], 0.5 * height.shape[0]), frame_of("gps", north=True)
+    )
+    assert figure is not None
+    (drawn,) = figure.axes[0].images
+    assert drawn.get_array().shape[:2] == (-(-height.shape[0] // 3), -(-height.shape[1] // 3))
+    west, east, south, north = drawn.get_extent()
+    assert (west, south) == (0.0, 0.0)
+    assert 0.0 <= east - 0.5 * height.shape[1] < 1.5
+    assert 0.0 <= north - 0.5 * height.shape[0] < 1.5
+    assert (drawn.get_array()[0, :, 3] == 0.0).sum() == 334  # of 1000 cells, every third
 
 
 def test_both_are_drawn_into_the_folder(tmp_path: Path) -> None:

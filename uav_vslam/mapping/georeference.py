@@ -9,7 +9,7 @@ the map frame. Files have north first; arrays here have south first, as `Raster`
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.geodetic import Datum
+from uav_vslam.mapping.float_pyramid import TILE_PX, FloatPyramid
 from uav_vslam.mapping.raster import Raster
 
-TILE_PX = 256
 WGS84_A_M, WGS84_F = 6378137.0, 1.0 / 298.257223563
 USER_DEFINED, PROJECTED, AREA, TRANSVERSE_MERCATOR, METRE, WGS84 = 32767, 1, 1, 1, 9001, 4326
 # Tags of GeoTIFF and GDAL, and their TIFF types.
@@ -70,7 +70,7 @@ def write_picture(
         path = path.with_suffix(".tif")
         kind = "minisblack" if image.ndim == 2 else "rgb"
         stack = _north_first([*channels[::-1], opaque], raster.shape)
-        _write_tiff(path, stack, _tags(raster, datum), photometric=kind, planarconfig="contig")
+        _write_tiff(path, stack, _tags(raster, datum), photometric=kind)
         return path
     path = path.with_suffix(".png")
     bgr = channels * 3 if image.ndim == 2 else channels
@@ -92,14 +92,60 @@ def write_bands(path: Path, bands: Mapping[str, NDArray[np.generic]], raster: Ra
     Raises:
         UavVslamError: the file can't be written.
     """
-    stack = np.stack([np.asarray(band, np.float32)[::-1] for band in bands.values()])
+
+    def part(window: Raster) -> list[NDArray[np.generic]]:
+        cut = window.within(raster)
+        return [band[cut] for band in bands.values()]
+
+    write_parts(path, list(bands), part, raster, datum)
+
+
+def write_parts(
+    path: Path,
+    names: Sequence[str],
+    part: Callable[[Raster], Sequence[NDArray[np.generic]]],
+    raster: Raster,
+    datum: Datum | None,
+) -> None:
+    """Write a float32 GeoTIFF of several bands, of which only a part at a time is in memory; NaN is no data.
+
+    Args:
+        path: of the file, `.tif`.
+        names: of the bands.
+        part: returns the bands of a window, (rows, columns) each.
+        raster: the whole window of the map frame.
+        datum: of the map frame, if known.
+
+    Raises:
+        UavVslamError: the file can't be written.
+    """
     items = [
         f'<Item name="DESCRIPTION" sample="{k}" role="description">{escape(name)}</Item>'
-        for k, name in enumerate(bands)
+        for k, name in enumerate(names)
     ]
     metadata = f"<GDALMetadata>{''.join(items)}</GDALMetadata>"
     tags = [*_tags(raster, datum), _text(METADATA, metadata), _text(NO_DATA, "nan")]
-    _write_tiff(path, stack, tags, photometric="minisblack", planarconfig="separate")
+    pyramid = FloatPyramid(raster.shape, len(names))
+    north = raster.row + raster.rows
+    for row, column in pyramid.places:
+        place = Raster(
+            raster.cell_m, raster.column + column * TILE_PX, north - (row + 1) * TILE_PX, TILE_PX, TILE_PX
+        ).intersection(raster)
+        pyramid.add(row, column, [band[::-1] for band in part(place)])
+    try:
+        with tifffile.TiffWriter(path) as file:
+            for level, (shape, tiles) in enumerate(pyramid.levels()):
+                file.write(
+                    tiles,
+                    shape=(len(names), *shape),
+                    dtype=np.float32,
+                    photometric="minisblack",
+                    planarconfig="separate",
+                    extrasamples=["unspecified"] * (len(names) - 1),
+                    **_page(tags, level),
+                )
+    except OSError as error:
+        raise UavVslamError(f"{path} can't be written: {error.strerror or error}") from error
 
 
 def world_file(raster: Raster) -> str:
@@ -124,34 +170,36 @@ def _north_first(channels: Sequence[NDArray[np.uint8] | int], shape: tuple[int, 
     return stack
 
 
-def _write_tiff(path: Path, stack: NDArray[Any], tags: list[Any], *, photometric: str, planarconfig: str) -> None:
-    """Write (rows, columns, bands), or (bands, rows, columns) if separate, with north first as a deflated TIFF.
+def _write_tiff(path: Path, stack: NDArray[np.uint8], tags: list[Any], *, photometric: str) -> None:
+    """Write (rows, columns, channels), the last one opacity, with north first as a deflated TIFF.
 
     Overviews of every second pixel follow, down to one tile, so that a GIS shows a large one at once.
     """
-    separate = planarconfig == "separate"
-    bands = stack.shape[0 if separate else -1]
     colours = 3 if photometric == "rgb" else 1
+    extra = ["unassalpha"] * (stack.shape[-1] - colours)
     try:
         with tifffile.TiffWriter(path) as file:
             for level in itertools.count():
                 file.write(
-                    stack,
-                    photometric=photometric,
-                    planarconfig=planarconfig,
-                    extrasamples=["unspecified"] * (bands - 1) if separate else ["unassalpha"] * (bands - colours),
-                    tile=(TILE_PX, TILE_PX),
-                    compression="zlib",
-                    extratags=tags if level == 0 else [],
-                    subfiletype=OVERVIEW if level else 0,
-                    metadata=None,
-                    software=False,
+                    stack, photometric=photometric, planarconfig="contig", extrasamples=extra, **_page(tags, level)
                 )
-                if max(stack.shape[1:] if separate else stack.shape[:2]) <= TILE_PX:
+                if max(stack.shape[:2]) <= TILE_PX:
                     break
-                stack = stack[:, ::2, ::2] if separate else stack[::2, ::2]
+                stack = stack[::2, ::2]
     except OSError as error:
         raise UavVslamError(f"{path} can't be written: {error.strerror or error}") from error
+
+
+def _page(tags: list[Any], level: int) -> dict[str, Any]:
+    """Return what all pages have in common; the first one has the tags, the others are overviews."""
+    return {
+        "tile": (TILE_PX, TILE_PX),
+        "compression": "zlib",
+        "extratags": [] if level else tags,
+        "subfiletype": OVERVIEW if level else 0,
+        "metadata": None,
+        "software": False,
+    }
 
 
 def _tags(raster: Raster, datum: Datum | None) -> list[Any]:

@@ -40,11 +40,11 @@ class Overlap:
         known = grid.extent
         if not self.views or known.rows == 0:
             return known
-        height = _without_gaps(grid.height(known))
+        height, ground_m = _without_gaps(grid.height(known))
         west, south, east, north = known.bounds_m
         half = 0.5 * grid.cell_m
         corners = [np.array([[west + half, south + half], [east - half, north - half]])]
-        corners += [footprint(camera, pose, height, known) for camera, pose in self.views]
+        corners += [footprint(camera, pose, height, known, ground_m=ground_m) for camera, pose in self.views]
         return Raster.covering(np.vstack(corners), grid.cell_m)
 
     def count(self, grid: HeightGrid, raster: Raster) -> NDArray[np.uint16]:
@@ -52,9 +52,10 @@ class Overlap:
         count = np.zeros(raster.shape, np.uint16)
         if 0 in raster.shape:
             return count
-        height = _without_gaps(grid.height(raster))
+        height, ground_m = _without_gaps(grid.height(raster))
         for camera, T_map_cam in self.views:
-            outline = Raster.covering(footprint(camera, T_map_cam, height, raster), raster.cell_m)
+            seen = footprint(camera, T_map_cam, height, raster, ground_m=ground_m)
+            outline = Raster.covering(seen, raster.cell_m)
             part = outline.intersection(raster)
             cut = part.within(raster)
             count[cut] += _shown(camera, T_map_cam, part, height[cut]) & (count[cut] < MOST_VIEWS)
@@ -62,17 +63,19 @@ class Overlap:
 
     def gsd_m(self, grid: HeightGrid, raster: Raster) -> float:
         """Return the median size of a pixel on the ground [m]; NaN without views or heights."""
-        height = grid.height(raster)
-        if not self.views or not np.isfinite(height).any():
+        known = [part.height[np.isfinite(part.height)] for part in grid.parts(raster)]
+        if not self.views or not any(map(len, known)):
             return float("nan")
-        ground_m = float(np.nanmedian(height))
+        ground_m = float(np.median(np.concatenate(known)))
         return float(np.median([(pose.t[2] - ground_m) / camera.fx for camera, pose in self.views]))
 
 
-def _without_gaps(height: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return heights with the usual one where none is known."""
-    known = np.isfinite(height)
-    return np.where(known, height, np.median(height[known]) if known.any() else np.float32(0.0))
+def _without_gaps(height: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
+    """Put the median height where none is known, and return the array and that height [m]."""
+    unknown = np.isnan(height)
+    median = np.float32(0.0) if unknown.all() else np.median(height[~unknown])
+    height[unknown] = median
+    return height, float(median)
 
 
 def _shown(camera: PinholeCamera, T_map_cam: Pose, raster: Raster, height: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -86,7 +89,9 @@ def _shown(camera: PinholeCamera, T_map_cam: Pose, raster: Raster, height: NDArr
     return np.asarray(before & inside.all(axis=-1))
 
 
-def footprint(camera: PinholeCamera, T_map_cam: Pose, height: NDArray[np.floating], raster: Raster) -> Array:
+def footprint(
+    camera: PinholeCamera, T_map_cam: Pose, height: NDArray[np.floating], raster: Raster, *, ground_m: float
+) -> Array:
     """Return the (N, 2) outline of what a camera sees of a surface [m].
 
     Args:
@@ -94,10 +99,11 @@ def footprint(camera: PinholeCamera, T_map_cam: Pose, height: NDArray[np.floatin
         T_map_cam: pose.
         height: (rows, columns) surface over the window [m], without gaps; beyond its edge it goes on level.
         raster: the window.
+        ground_m: its median height, with which the steps begin [m].
     """
     rays = camera.bearings(image_border(camera, EDGE_POINTS)) @ T_map_cam.R.T
     fall = np.maximum(-rays[:, 2], FLATTEST_RAY)
-    ground = np.full(len(rays), float(np.median(height)))
+    ground = np.full(len(rays), ground_m)
     for _ in range(HEIGHT_STEPS + 1):
         points = T_map_cam.t[:2] + ((T_map_cam.t[2] - ground) / fall)[:, None] * rays[:, :2]
         row, column = (np.rint(index).astype(int) for index in raster.index(points))

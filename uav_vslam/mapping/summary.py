@@ -22,10 +22,17 @@ def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) ->
         views: their number by vehicle.
     """
     extent = overlap.extent(grid)
-    window = grid.window(extent)
-    known = np.isfinite(window.height)
     shown = overlap.count(grid, extent) > 0
-    cells, shown_cells, gsd_m = int(known.sum()), int(shown.sum()), overlap.gsd_m(grid, extent)
+    gsd_m, cells, covered, filled = overlap.gsd_m(grid, extent), 0, 0, 0
+    sigmas, heights = [], []
+    for part in grid.parts(extent):
+        known = np.isfinite(part.height)
+        cells += int(known.sum())
+        covered += int((known & shown[part.raster.within(extent)]).sum())
+        filled += int(part.filled.sum())
+        sigmas.append(part.sigma[np.isfinite(part.sigma)])
+        if known.any():
+            heights += [float(np.nanmin(part.height)), float(np.nanmax(part.height))]
     tree: dict[str, Any] = {
         "frame": "map",
         "cell_m": grid.cell_m,
@@ -34,11 +41,11 @@ def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) ->
         "vehicles": {vehicle: {"views": count} for vehicle, count in views.items()},
         "surface": {
             "cells": cells,
-            "coverage": int((known & shown).sum()) / max(shown_cells, 1),
-            "filled": int(window.filled.sum()) / max(cells, 1),
+            "coverage": covered / max(int(shown.sum()), 1),
+            "filled": filled / max(cells, 1),
         },
     }
     if cells:
-        tree["surface"]["median_sigma_m"] = float(np.nanmedian(window.sigma))
-        tree["surface"]["height_m"] = [float(np.nanmin(window.height)), float(np.nanmax(window.height))]
+        tree["surface"]["median_sigma_m"] = float(np.median(np.concatenate(sigmas)))
+        tree["surface"]["height_m"] = [min(heights), max(heights)]
     return tree

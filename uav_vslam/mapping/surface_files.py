@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of a surface: its tiles, `height.tif` and the figures of `map.json`."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +10,15 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.geodetic import Datum
 from uav_vslam.evaluation.files.writing import write_json
-from uav_vslam.mapping.georeference import write_bands
+from uav_vslam.mapping.georeference import write_parts
 from uav_vslam.mapping.overlap import Overlap
+from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.summary import map_figures
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
 
 FIGURES = "map.json"
+BANDS = "height", "sigma", "count", "view angle", "filled"  # of height.tif
 
 
 def write_surface(
@@ -38,14 +41,12 @@ def write_surface(
     tree |= {"datum": datum.figures()} if datum else {}
     tree["surface"] |= {"pairs": mapper.pairs, "refused_pairs": dict(mapper.refused)}
     if grid.extent.columns:
-        window = grid.window(grid.extent)
-        bands: dict[str, NDArray[np.generic]] = {
-            "height": window.height,
-            "sigma": window.sigma,
-            "count": window.count,
-            "view angle": window.angle,
-            "filled": window.filled,
-        }
-        write_bands(folder / "height.tif", bands, window.raster, datum)
+        write_parts(folder / "height.tif", BANDS, partial(_bands, grid), grid.extent, datum)
     write_json(folder / FIGURES, tree)
     return tree
+
+
+def _bands(grid: HeightGrid, raster: Raster) -> list[NDArray[np.generic]]:
+    """Return the `BANDS` of a window."""
+    window = grid.window(raster)
+    return [window.height, window.sigma, window.count, window.angle, window.filled]

@@ -59,6 +59,10 @@ class TileStore(ABC, Generic[Tile]):
             if _key(window) in self._known:
                 yield window, self._use(_key(window))
 
+    def touches(self, raster: Raster) -> bool:
+        """Return whether some tile exists that touches a window."""
+        return any(_key(window) in self._known for window in raster.tiles(SIDE))
+
     def change(self, window: Raster) -> Tile:
         """Return the tile of a window, to be changed in place; a new one is empty."""
         key = _key(window)

@@ -23,6 +23,7 @@ STEEPENED = 2.0  # factor of the slopes in the shading
 CONTRAST = 0.8  # of the shading
 DARKEST = 0.35  # part of the colour that is left in the shade
 WIDTH_IN, LEAST_IN, MOST_IN = 10.0, 3.0, 14.0  # of the figure; the height follows the map
+MOST_CELLS = 2000  # each way that are drawn: more than the figure has pixels
 TEXT_PT = 16  # legible where the page is as narrow as a telephone
 SCALE_BAR_SHARE = 0.25  # of the width, at most
 
@@ -41,6 +42,7 @@ MAP, TURNED = Frame(), Frame("x", "y")
 
 def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame) -> Figure | None:
     """Return the shaded relief of (rows, columns) heights [m], south first; None if none is known."""
+    height, bounds_m = _thinned(height, bounds_m)
     known = np.isfinite(height)
     if not known.any():
         return None
@@ -61,6 +63,7 @@ def overlap_picture(
     count: NDArray[np.integer], bounds_m: Bounds, frame: Frame, *, label: str = "Views"
 ) -> Figure | None:
     """Return the number of views of each cell, (rows, columns), south first; None if there are no views."""
+    count, bounds_m = _thinned(count, bounds_m)
     if count.size == 0 or not count.any():
         return None
     figure, axes = _figure(bounds_m, frame)
@@ -68,6 +71,17 @@ def overlap_picture(
     drawn = axes.imshow(shown, extent=_extent(bounds_m), interpolation="nearest", cmap=COUNT_COLOURS)
     _add_colours(figure, axes, drawn, label, ticks=MaxNLocator(integer=True))
     return figure
+
+
+def _thinned(values: NDArray[Any], bounds_m: Bounds) -> tuple[NDArray[Any], Bounds]:
+    """Return every so many rows and columns of a large map, and the bounds of these wider cells."""
+    step = -(-max(values.shape) // MOST_CELLS)
+    if step <= 1:
+        return values, bounds_m
+    west, south, east, north = bounds_m
+    (rows, columns), thinned = values.shape, values[::step, ::step]
+    wide = (east - west) / columns * step, (north - south) / rows * step
+    return thinned, (west, south, west + wide[0] * thinned.shape[1], south + wide[1] * thinned.shape[0])
 
 
 def _add_colours(figure: Figure, axes: Axes, drawn: ScalarMappable, label: str, **options: Any) -> None:

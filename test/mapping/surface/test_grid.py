@@ -6,7 +6,7 @@ import pytest
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.raster import Raster
-from uav_vslam.mapping.surface.grid import HeightGrid
+from uav_vslam.mapping.surface.grid import PART, HeightGrid
 from uav_vslam.mapping.surface.samples import CellSamples
 from uav_vslam.mapping.surface.tiles import CELL
 from uav_vslam.mapping.tile_store import SIDE
@@ -110,6 +110,20 @@ def test_a_window_does_not_change_what_is_in_it() -> None:
     cut = part.within(AROUND)
     assert np.array_equal(grid.height(part), whole.height[cut], equal_nan=True)
     assert np.array_equal(grid.window(part).filled, whole.filled[cut])
+
+
+def test_a_large_window_made_of_parts_is_as_one_made_at_once() -> None:
+    large = Raster(0.5, -PART - 9, PART - 11, 2 * PART + 30, PART + 40)
+    rng = np.random.default_rng(4)
+    grid = HeightGrid(0.5)
+    where = (rng.uniform(size=large.shape) > 0.4) & (np.arange(large.rows)[:, None] < 60)  # parts are unknown
+    grid.add(samples(large, height=wavy(large), where=where))
+    once, parts = grid._part(large), grid.window(large)
+    for name in ("height", "sigma", "count", "angle", "filled"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(once, name))
+    np.testing.assert_array_equal(grid.height(large), once.height)
+    assert once.filled.any()
+    assert 0 < sum(part.raster.columns * part.raster.rows for part in grid.parts(large)) <= large.columns * large.rows
 
 
 def test_tiles_in_memory_are_bounded_and_nothing_is_lost(tmp_path: Path) -> None:

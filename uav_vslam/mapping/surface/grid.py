@@ -28,6 +28,7 @@ WIDEST_GAP_M = 3.0  # that is filled
 AGREE_M, AGREE_SIGMAS = 0.5, 4.0  # two heights agree within the larger of both
 TOP_VOTES = 0.5  # of the other surface's pairs that the higher one needs
 MOST_POINTS = 65535
+PART = 2 * SIDE  # cells, each way: larger windows are made of parts of this size
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,13 @@ class HeightWindow:
     count: NDArray[np.uint16]
     angle: Floats
     filled: NDArray[np.bool_]
+
+    @staticmethod
+    def unknown(raster: Raster) -> "HeightWindow":
+        """Return a window of which nothing is known."""
+        nothing = [np.full(raster.shape, np.nan, np.float32) for _ in range(3)]
+        count, filled = np.zeros(raster.shape, np.uint16), np.zeros(raster.shape, bool)
+        return HeightWindow(raster, nothing[0], nothing[1], count, nothing[2], filled)
 
     def points(self, stride: int) -> NDArray[np.float64]:
         """Return (N, 3) centres of the cells with a height [m], of every so many rows and columns of the grid."""
@@ -130,7 +138,11 @@ class HeightGrid:
         Raises:
             UavVslamError: its cells are of another size.
         """
-        return self.window(raster).height
+        self._check(raster)
+        whole = np.full(raster.shape, np.nan, np.float32)
+        for part in self.parts(raster):
+            whole[part.raster.within(raster)] = part.height
+        return whole
 
     def window(self, raster: Raster) -> HeightWindow:
         """Return all that is known of a window.
@@ -139,7 +151,32 @@ class HeightGrid:
             UavVslamError: its cells are of another size.
         """
         self._check(raster)
-        reach = round(WIDEST_GAP_M / self.cell_m)
+        whole = HeightWindow.unknown(raster)
+        for part in self.parts(raster):
+            cut = part.raster.within(raster)
+            for name in ("height", "sigma", "count", "angle", "filled"):
+                getattr(whole, name)[cut] = getattr(part, name)
+        return whole
+
+    def parts(self, raster: Raster) -> Iterator[HeightWindow]:
+        """Yield a window in parts of at most `PART` cells each way, without those of which nothing is known.
+
+        Raises:
+            UavVslamError: its cells are of another size.
+        """
+        self._check(raster)
+        for block in raster.tiles(PART):
+            part = block.intersection(raster)
+            if self._tiles.touches(part.grown(self._reach + 1)):
+                yield self._part(part)
+
+    @property
+    def _reach(self) -> int:
+        """Width of the widest gap that is filled [cells]."""
+        return round(WIDEST_GAP_M / self.cell_m)
+
+    def _part(self, raster: Raster) -> HeightWindow:
+        reach = self._reach
         # Gaps are filled alike in every window: those around it must be seen too.
         wide = raster.grown(3 * (reach + 1))
         cells = self._cells(wide)
