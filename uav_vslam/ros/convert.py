@@ -287,7 +287,10 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
 
 
 def cloud_to_msg(points: Array, *, stamp_ns: int, frame_id: str, bgr: NDArray[np.uint8] | None = None) -> PointCloud2:
-    """Return (N, 3) points as an x, y, z float32 cloud; with (N, 3) colours, also rgb as RViz and Foxglove read it."""
+    """Return (N, 3) points as an x, y, z float32 cloud; with (N, 3) colours, also rgb as RViz and Foxglove read it.
+
+    RViz draws no float64 clouds (`XYZPCTransformer::supports`).
+    """
     data = np.ascontiguousarray(points, dtype=np.float32).view(np.uint8).reshape(-1, 12)
     names = ["x", "y", "z"]
     if bgr is not None:
