@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fusion node on its radio: modes that change in flight, a hard budget, peers that come late or become silent."""
 
+import dataclasses
 import itertools
 import os
 import socket
@@ -410,6 +411,25 @@ def test_vehicles_in_different_modes_receive_each_other(fly: Callable[..., Fligh
     assert flight.node.notes["radio/uav2/matched"] == "1"
     flight.others.destroy_publisher(publisher)
     assert flight.spin(lambda: flight.node.notes["radio/uav2/matched"] == "0")
+
+
+def test_joint_information_of_epochs_before_the_start_is_no_drop_and_late_one_is(fly: Callable[..., Flight]) -> None:
+    """A node that is restarted gets what the back end keeps for late joiners: more epochs than odometry."""
+    flight = fly()
+    begin, dropped = 10, "dropped/joint_late"
+    assert flight.spin(lambda: flight.node._previous_ns == NS_PER_S // 2)
+    flight.node.reset()
+    flight._move(begin * NS_PER_S + NS_PER_S // 2)
+    assert flight.spin(lambda: flight.node._previous_ns == begin * NS_PER_S + NS_PER_S // 2)
+    for second in (begin - 2, begin - 1, begin):
+        flight._joints.publish(joint_to_msg(flight.joint(second, "uav1"), frame_id="uav1/map"))
+    assert flight.epoch(begin + 1).header.stamp.sec == begin + 1
+    assert flight.node.counts[dropped] == 0
+    flight._move(begin * NS_PER_S + 19 * NS_PER_S // 10)
+    assert flight.spin(lambda: flight.node._previous_ns == begin * NS_PER_S + 19 * NS_PER_S // 10)
+    late = dataclasses.replace(flight.joint(begin, "uav1"), stamp_ns=(begin + 1) * NS_PER_S + NS_PER_S // 2)
+    flight._joints.publish(joint_to_msg(late, frame_id="uav1/map"))
+    assert flight.spin(lambda: flight.node.counts[dropped] == 1)
 
 
 def test_a_missed_deadline_and_bytes_that_are_no_packet_are_counted(fly: Callable[..., Flight]) -> None:

@@ -96,6 +96,7 @@ class FusionNode(VehicleNode):
         """Be as before the first message of a session of the back end."""
         self._joints: dict[int, JointInformation] = {}
         self._waiting: deque[Own] = deque()
+        self._first_ns: int | None = None  # stamps of the odometry used
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
 
@@ -123,6 +124,8 @@ class FusionNode(VehicleNode):
             self.get_logger().warning(f"the back end started again: session {joint.session}")
             self.reset()
         self._session = max(joint.session, self._session or 0)
+        if self._first_ns is not None and joint.stamp_ns < self._first_ns:
+            return  # kept for late joiners: of an epoch before this node, or this flight, began
         if self._previous_ns is not None and joint.stamp_ns <= self._previous_ns:
             raise InvalidMessage("joint_late", f"joint information of {joint.stamp_ns} ns, after its odometry")
         if joint.stamp_ns in self._joints:  # a restarted back end repeats it under the identifiers that it goes on with
@@ -156,6 +159,7 @@ class FusionNode(VehicleNode):
             if is_epoch and joint is None and not self._is_joint_lost():
                 return
             self._waiting.popleft()
+            self._first_ns = own.stamp_ns if self._first_ns is None else self._first_ns
             self._previous_ns = own.stamp_ns
             self._joints = {stamp_ns: later for stamp_ns, later in self._joints.items() if stamp_ns > own.stamp_ns}
             if joint is not None:
