@@ -16,8 +16,9 @@ from geometry_msgs.msg import TwistWithCovariance  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import ReliabilityPolicy  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.config import FusionConfig  # noqa: E402
@@ -26,9 +27,9 @@ from uav_vslam.errors import ConfigError, FilterDivergence  # noqa: E402
 from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg  # noqa: E402
 from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
 from uav_vslam.ros.packet_message import packet_to_msg  # noqa: E402
-from uav_vslam.ros.qos import NEWEST, RADIO, STATE  # noqa: E402
+from uav_vslam.ros.qos import LATCHED, NEWEST, RADIO, STATE  # noqa: E402
 from uav_vslam.types import NS_PER_S, JointInformation, PoseEstimate  # noqa: E402
-from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
+from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation, NavigationState  # noqa: E402
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -430,6 +431,26 @@ def test_joint_information_of_epochs_before_the_start_is_no_drop_and_late_one_is
     late = dataclasses.replace(flight.joint(begin, "uav1"), stamp_ns=(begin + 1) * NS_PER_S + NS_PER_S // 2)
     flight._joints.publish(joint_to_msg(late, frame_id="uav1/map"))
     assert flight.spin(lambda: flight.node.counts[dropped] == 1)
+
+
+def test_an_input_of_another_type_is_named_and_moves_no_qos(fly: Callable[..., Flight], domain_id: int) -> None:
+    flight, context = fly(), rclpy.Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    stranger = rclpy.create_node("stranger", context=context)
+    wrong = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    stranger.create_publisher(String, "/uav1/initial_state", wrong)
+    one = flight.node.listen(NavigationState, "initial_state", print, LATCHED)
+    said = "initial_state (published as std_msgs/msg/String; it takes uav_vslam_msgs/msg/NavigationState)"
+    try:
+        assert flight.spin(lambda: said in flight.node._health()[1])
+        assert not one.follow(flight.node)
+        assert one.qos.reliability == ReliabilityPolicy.RELIABLE
+        flight.others.create_publisher(NavigationState, "/uav1/initial_state", LATCHED)
+        assert flight.spin(lambda: said not in flight.node._health()[1])
+        assert "initial_state" in flight.node._health()[1]
+    finally:
+        stranger.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 def test_a_missed_deadline_and_bytes_that_are_no_packet_are_counted(fly: Callable[..., Flight]) -> None:

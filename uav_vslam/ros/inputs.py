@@ -67,6 +67,11 @@ class Input:
     first_s: float = 0.0
     last_s: float = 0.0
 
+    @property
+    def type_name(self) -> str:
+        """Name of the type that it takes, as in "sensor_msgs/msg/Imu"."""
+        return f"{self.message_type.__module__.split('.')[0]}/msg/{self.message_type.__name__}"
+
     def subscribe(self, node: Node) -> None:
         """Create the subscription; its policies can be overridden by parameters qos_overrides.<topic>.subscription."""
         self.qos = copy.copy(self.qos)  # rclpy writes overrides into it, and other topics share the profile
@@ -76,7 +81,8 @@ class Input:
         """Resubscribe with less if nothing better is offered; return whether it did."""
         if self.subscription.get_publisher_count():
             return False
-        offers = [info.qos_profile for info in node.get_publishers_info_by_topic(self.subscription.topic_name)]
+        published = node.get_publishers_info_by_topic(self.subscription.topic_name)
+        offers = [info.qos_profile for info in published if info.topic_type == self.type_name]
         if not offers:
             return False
         reliability, durability = self.qos.reliability, self.qos.durability
@@ -183,6 +189,18 @@ def silent(inputs: Iterable[Input]) -> list[str]:
     for one in inputs:
         any_received[one.stands_for] = any_received.get(one.stands_for, False) or one.received > 0
     return [topic for topic, received in any_received.items() if not received]
+
+
+def wrong_type(inputs: Iterable[Input], topic: str, node: Node) -> str:
+    """Return what a topic is published as, if as nothing that its inputs take: DDS matches no other type, silently."""
+    offered, taken = set(), set()
+    for one in inputs:
+        if one.stands_for == topic:
+            taken.add(one.type_name)
+            offered |= {info.topic_type for info in node.get_publishers_info_by_topic(one.subscription.topic_name)}
+    if not offered or offered & taken:
+        return ""
+    return f"published as {' and '.join(sorted(offered))}; it takes {' or '.join(sorted(taken))}"
 
 
 def stopped(inputs: Iterable[Input], now_s: float) -> dict[str, float]:
