@@ -39,7 +39,7 @@ class BackendConfig(Settings):
     sigma_px: float = setting(1.0, "standard deviation of each stereo pixel coordinate", unit="px", above=0, live=True)
     depth_sigma_ratio: float = setting(
         0.043,
-        "relief / height, smooths the depth in the Jacobian; 0: off (indoors, or cameras not looking straight down)",
+        "relief / depth of the ground, to which the depth in the Jacobian is smoothed where points show it; 0: off",
         at_least=0,
     )
     association: str = setting(

@@ -6,7 +6,7 @@ with respect to (position, velocity, xi, biases) and to the landmark.
 
 A new landmark's depth is noisy, and a Jacobian evaluated there correlates with the measurement noise. Over ground the
 depth is known better: the Jacobian (never the residual) is evaluated at `c` scaled to a depth between the landmark's
-own and the ground's, weighted by the landmark's depth variance against the relief of the ground.
+own and the ground's (`ground_depth`), weighted by the landmark's depth variance against the relief of the ground.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.estimation.ground_depth import ground_depth
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import NAV_DIM, POSITION, ROTATION
@@ -60,19 +61,23 @@ def smoothed(points_left: Array, depth_variance: Array, *, depth_sigma_ratio: fl
     Args:
         points_left: (N, 3) [m].
         depth_variance: (N,) variance of each depth [m^2].
-        depth_sigma_ratio: relief of the ground over its distance; 0 disables the smoothing.
+        depth_sigma_ratio: relief of the ground over its depth; 0 disables the smoothing.
 
     Returns:
-        (N, 3) linearisation points; the ground's depth is the median of all.
+        (N, 3) linearisation points, scaled to the depth of the ground that the points in front show, if any.
     """
     depth = points_left[:, 2]
     ahead = depth > MIN_DEPTH_M
     if depth_sigma_ratio == 0 or not ahead.any():
         return points_left
-    ground = float(np.median(depth[ahead]))
+    variance = np.maximum(depth_variance[ahead], 0.0)
+    ground = ground_depth(points_left[ahead], variance, depth_sigma_ratio)
+    if ground is None:
+        return points_left
     sigma2 = (depth_sigma_ratio * ground) ** 2
-    s = sigma2 / (sigma2 + np.maximum(depth_variance, 0.0))
-    scale = np.where(ahead, s + (1 - s) * ground / np.where(ahead, depth, 1.0), 1.0)
+    s = sigma2 / (sigma2 + variance)
+    scale = np.ones(len(depth))
+    scale[ahead] = s + (1 - s) * ground / depth[ahead]
     return np.asarray(points_left * scale[:, None])
 
 
