@@ -7,7 +7,9 @@ from fed_stage import feed
 
 from uav_vslam.slam import clock_offset
 from uav_vslam.slam.clock_offset import EVERY_S, KEPT, ClockOffsetMonitor
+from uav_vslam.slam.first_frames import AGAIN, CLOCK
 from uav_vslam.slam.frame_output import FrameOutput
+from uav_vslam.slam.slam_flight import SlamFlight
 
 PX = 0.05
 
@@ -40,10 +42,31 @@ def test_without_linearising_again_the_flight_is_lost(flown, monkeypatch: pytest
     """A guard of the tests above: that the offset is a state is not enough."""
     monkeypatch.setattr(ClockOffsetMonitor, "_is_far", lambda self, found: False)
     monkeypatch.setattr(ClockOffsetMonitor, "_sought", lambda self, present, config: None)
+    monkeypatch.setattr(SlamFlight, "contradicting_timing", None)
     flight = flown(2, frames=60, tracked_px=PX)
     found = feed(flight.tracking_stage(PX), flight.with_late_images(0.02))
     assert any(output.report.recovery for output in found)
     assert flight.errors_and_nees(found)[1].mean() > 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
+def test_an_offset_that_is_found_after_a_recovery_is_used_from_the_start_on(
+    flown, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """No offset that is sought explains the first frames, and the filter is re-initialised before it is known."""
+    flight = flown(seed, frames=40, tracked_px=PX)
+    frames = flight.with_late_images(0.03)
+    outputs = feed(flight.tracking_stage(PX), frames)
+    (at,) = (k for k, output in enumerate(outputs) if output.report.recovery == AGAIN.format(CLOCK))
+    assert len(outputs[at].earlier) == at
+    assert not any(output.report.coasted or output.report.recovery for output in outputs[at + 1 :])
+    errors, nees = flight.errors_and_nees(outputs[at:])
+    assert errors[-1] < 1.5
+    assert nees.mean() < 1.5
+    monkeypatch.setattr(SlamFlight, "contradicting_timing", None)
+    lost = feed(flight.tracking_stage(PX), frames)
+    assert flight.errors_and_nees(lost)[1].mean() > 10.0
 
 
 def test_a_right_clock_is_watched_for_a_second_only_and_nothing_changes(flown, monkeypatch) -> None:

@@ -13,11 +13,11 @@ from uav_vslam.config import StartConfig
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.slam.first_frames import AGAIN
+from uav_vslam.slam.first_frames import AGAIN, READOUT
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.rolling_shutter import exposed_at_once
 from uav_vslam.slam.shutter_monitor import ShutterMonitor
-from uav_vslam.slam.slam_flight import SlamFlight
+from uav_vslam.slam.slam_flight import SlamFlight, Timing
 from uav_vslam.types import PoseEstimate
 
 PX = 0.05
@@ -102,8 +102,8 @@ def test_what_has_been_measured_is_used_from_the_start_on(flown, configured_s: f
     flight = flown(2, frames=24, tracked_px=PX, readout_s=0.01)
     right = feed(flight.tracking_stage(PX, readout_s=0.01), flight.frames)
     outputs = feed(flight.tracking_stage(PX, readout_s=configured_s), flight.frames)
-    (at,) = (k for k, output in enumerate(outputs) if output.report.recovery == AGAIN)
-    assert f"the filter was re-initialised: {AGAIN}" in outputs[at].warnings
+    (at,) = (k for k, output in enumerate(outputs) if output.report.recovery == AGAIN.format(READOUT))
+    assert f"the filter was re-initialised: {AGAIN.format(READOUT)}" in outputs[at].warnings
     assert not any(output.warnings or output.report.coasted for output in outputs[at + 1 :])
     assert [output.report.pose.stamp_ns for output in outputs[at].earlier] == [
         output.report.pose.stamp_ns for output in outputs[:at]
@@ -122,7 +122,7 @@ def test_a_readout_that_explains_no_more_is_not_used(flown, monkeypatch) -> None
     flight = flown(1, frames=24, tracked_px=PX)
     stage, right = flight.tracking_stage(PX), flight.tracking_stage(PX)
     expected = feed(right, flight.frames)
-    monkeypatch.setattr(SlamFlight, "contradicting_readout_s", 0.02)
+    monkeypatch.setattr(SlamFlight, "contradicting_timing", Timing(0.02))
     for output, other in zip(feed(stage, flight.frames), expected, strict=True):
         assert output.readout_s == 0.0
         np.testing.assert_array_equal(output.report.pose.T_map_body.t, other.report.pose.T_map_body.t)
@@ -149,7 +149,7 @@ def test_a_flight_that_goes_on_from_a_checkpoint_is_not_flown_again(flown) -> No
     feed(stage, flight.frames[:6])
     outputs = feed(pickle.loads(pickle.dumps(stage)), flight.frames[6:])
     assert named(outputs)
-    assert not any(output.report.recovery == AGAIN for output in outputs)
+    assert not any(output.report.recovery == AGAIN.format(READOUT) for output in outputs)
 
 
 @pytest.mark.slow

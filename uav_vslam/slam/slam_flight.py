@@ -2,6 +2,7 @@
 """A flight from its start state on: the back end, and the monitors that watch over it frame by frame."""
 
 import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 from uav_vslam.config import VehicleConfig
@@ -12,7 +13,7 @@ from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.propagation import propagate
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.bias_steps import BiasStepMonitor
-from uav_vslam.slam.clock_offset import ClockOffsetMonitor
+from uav_vslam.slam.clock_offset import WARNED_S, ClockOffsetMonitor
 from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.frame_report import FrameReport
@@ -26,6 +27,19 @@ from uav_vslam.slam.start_watch import StartWatch
 from uav_vslam.types import ImuIncrement, JointInformation, NavEstimate, StereoFeatures
 
 UNKNOWN_ROTATION_RAD = 0.25  # 1 sigma about an axis: half a second without readings
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """When images are exposed.
+
+    Attributes:
+        readout_s: of the cameras, see `rig.readout_s` [s].
+        time_offset_s: of their clock, see `TimeOffset`; None if only its prior is known [s].
+    """
+
+    readout_s: float
+    time_offset_s: float | None = None
 
 
 class SlamFlight:
@@ -48,6 +62,7 @@ class SlamFlight:
         archive: MapArchive | None = None,
         start_map: SavedMap | None = None,
         announced: bool = True,
+        time_offset_s: float | None = None,
     ) -> None:
         """Begin at a start state.
 
@@ -60,8 +75,12 @@ class SlamFlight:
             archive: takes all landmarks.
             start_map: on which the start state depends, if any.
             announced: fusion knows the session; a new one it gets to know by the first frame's joint information.
+            time_offset_s: of the cameras' clock, if it was measured [s].
         """
         self.backend = SlamBackend(initial, rig=rig, config=config, vehicle=vehicle, session=session)
+        if time_offset_s is not None:
+            self.backend.expect_time_offset(time_offset_s)
+            self.backend.keep_time_offset()
         self.archive = archive
         self.motion_lost = 0
         self._rig, self._config, self._start_map = rig, config, start_map
@@ -74,7 +93,9 @@ class SlamFlight:
         self._clock: ClockOffsetMonitor | None = None
         self._previous_ns: int | None = None
         self._is_announced = announced
-        self._was_motion_unknown = False
+        self._was_motion_unknown = self._was_recovered = False
+        self._begun_offset_s = time_offset_s
+        self._late_offset_s: float | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out of checkpoints what makes them large: archived landmarks, and earlier states of the back end."""
@@ -82,14 +103,30 @@ class SlamFlight:
         return self.__dict__ | {"archive": archive, "_bias_steps": BiasStepMonitor(), "_clock": None}
 
     @property
-    def is_readout_known(self) -> bool:
-        """Whether the readout of the cameras has been measured."""
-        return not self._shutter.watching
+    def timing(self) -> Timing:
+        """What the flight has begun with."""
+        return Timing(self._config.rig.readout_s, self._begun_offset_s)
 
     @property
-    def contradicting_readout_s(self) -> float | None:
-        """The readout that was measured, if it is not the one that is configured [s]."""
-        return self._shutter.contradicting_s
+    def is_timing_confirmed(self) -> bool:
+        """Whether readout and clock of the cameras have been measured, and are about as the flight has begun with."""
+        if self._shutter.watching or self._clock is None or not self._clock.is_known:
+            return False
+        return abs(self.backend.time_offset_s - (self._begun_offset_s or 0.0)) < WARNED_S
+
+    @property
+    def contradicting_timing(self) -> Timing | None:
+        """The timing that was measured, once the readout is, if it is another than the flight has begun with.
+
+        An offset of the clock counts if the filter was re-initialised before it was known: it is about another one.
+        """
+        if self._shutter.watching:
+            return None
+        if self._shutter.contradicting_s is not None:
+            return dataclasses.replace(self.timing, readout_s=self._shutter.contradicting_s)
+        if self._late_offset_s is not None:
+            return dataclasses.replace(self.timing, time_offset_s=self._late_offset_s)
+        return None
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
@@ -104,6 +141,8 @@ class SlamFlight:
         self._clock = self._clock or ClockOffsetMonitor(backend)
         report = backend.process(features, increment)
         backend, report, of_clock = self._clock.check(backend, features, increment, report, self._config)
+        if of_clock and self._was_recovered:
+            self._late_offset_s = backend.time_offset_s
         if backend is not self.backend:  # earlier ones are linearised about another offset
             self._bias_steps = BiasStepMonitor()
         if not backend.imu_fault:
@@ -116,6 +155,7 @@ class SlamFlight:
             report, of_start = self._start_watch.check(backend, report, features, dead_reckoned)
         report, joint = self._with_joint(backend, report, features)
         if report.recovery:
+            self._was_recovered = True
             self._start_watch.stop(report.pose.stamp_ns)
             self._bias_steps, self._clock = BiasStepMonitor(), ClockOffsetMonitor(backend)
         of_map = self._archive_landmarks(report, joint)

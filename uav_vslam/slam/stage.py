@@ -18,7 +18,7 @@ from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.saved_map import MapOrigin, Mapped, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
-from uav_vslam.slam.slam_flight import SlamFlight
+from uav_vslam.slam.slam_flight import SlamFlight, Timing
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 
 MANY_UNPAIRED = 10  # recent frames without an increment of their stamp: no accident
@@ -264,14 +264,17 @@ class SlamStage:
             self._start_warning = ""
         return output
 
-    def _begun_again(self, readout_s: float) -> SlamFlight:
-        """Return a flight with another readout; the session is known by the frames before it."""
+    def _begun_again(self, timing: Timing) -> SlamFlight:
+        """Return a flight with another timing; the session is known by the frames before it."""
         assert self.initial is not None
         assert self.rig is not None  # there is a flight
         self._is_announced = True
-        return self._new_flight(self.initial, self.rig, _with_readout(self._config, readout_s))
+        config = _with_readout(self._config, timing.readout_s)
+        return self._new_flight(self.initial, self.rig, config, time_offset_s=timing.time_offset_s)
 
-    def _new_flight(self, initial: NavEstimate, rig: StereoRig, config: VehicleConfig) -> SlamFlight:
+    def _new_flight(
+        self, initial: NavEstimate, rig: StereoRig, config: VehicleConfig, *, time_offset_s: float | None = None
+    ) -> SlamFlight:
         return SlamFlight(
             initial,
             rig=rig,
@@ -281,6 +284,7 @@ class SlamStage:
             archive=MapArchive(self._origin(self._session)) if self._keep_map else None,
             start_map=self._start_map,
             announced=self._is_announced,
+            time_offset_s=time_offset_s,
         )
 
 
