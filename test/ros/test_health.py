@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 from uav_vslam.ros.health import (
     LONGEST_START_S,
+    NO_CLOCK_S,
     RECENT_REPORTS,
     RECENT_S,
     START_S,
@@ -54,7 +55,7 @@ def test_a_clock_that_nobody_publishes_ends_the_start_after_seconds(monkeypatch:
     made_s = start._made_s
     assert start.lasts()
     assert not start.lacks_clock()
-    monkeypatch.setattr("uav_vslam.ros.health.time.monotonic", lambda: made_s + START_S)
+    monkeypatch.setattr("uav_vslam.ros.health.time.monotonic", lambda: made_s + NO_CLOCK_S)
     assert start.lacks_clock()
     assert not start.lasts()
     someone[0] = True  # a replay whose nodes are not all there yet

@@ -12,6 +12,7 @@ from uav_vslam.types import NS_PER_S
 
 START_S = 5.0  # of the ROS clock, for the first message of each input
 LONGEST_START_S = 60.0  # of wall time, should the ROS clock not run
+NO_CLOCK_S = 15.0  # of wall time, for somebody who publishes it: a busy computer starts a replay late
 RECENT_REPORTS = 10
 RECENT_S = 10.0  # of stamps
 
@@ -30,7 +31,7 @@ class Start:
     def lacks_clock(self) -> bool:
         """Return whether time stands still for want of somebody who publishes it."""
         waited_s = time.monotonic() - self._made_s
-        return self._clock.now().nanoseconds == 0 and waited_s >= START_S and not self._published()
+        return self._clock.now().nanoseconds == 0 and waited_s >= NO_CLOCK_S and not self._published()
 
     def lasts(self) -> bool:
         """Return whether the node is still starting."""
