@@ -61,12 +61,10 @@ class Overlap:
             count[cut] += _shown(camera, T_map_cam, part, height[cut]) & (count[cut] < MOST_VIEWS)
         return count
 
-    def gsd_m(self, grid: HeightGrid, raster: Raster) -> float:
-        """Return the median size of a pixel on the ground [m]; NaN without views or heights."""
-        known = [part.height[np.isfinite(part.height)] for part in grid.parts(raster)]
-        if not self.views or not any(map(len, known)):
+    def gsd_m(self, ground_m: float) -> float:
+        """Return the median size of a pixel on ground of a height [m]; NaN without views."""
+        if not self.views:
             return float("nan")
-        ground_m = float(np.median(np.concatenate(known)))
         return float(np.median([(pose.t[2] - ground_m) / camera.fx for camera, pose in self.views]))
 
 

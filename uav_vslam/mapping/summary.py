@@ -23,16 +23,17 @@ def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) ->
     """
     extent = overlap.extent(grid)
     shown = overlap.count(grid, extent) > 0
-    gsd_m, cells, covered, filled = overlap.gsd_m(grid, extent), 0, 0, 0
+    covered = filled = 0
     sigmas, heights = [], []
     for part in grid.parts(extent):
         known = np.isfinite(part.height)
-        cells += int(known.sum())
         covered += int((known & shown[part.raster.within(extent)]).sum())
         filled += int(part.filled.sum())
         sigmas.append(part.sigma[np.isfinite(part.sigma)])
-        if known.any():
-            heights += [float(np.nanmin(part.height)), float(np.nanmax(part.height))]
+        heights.append(part.height[known])
+    cells = sum(map(len, heights))
+    height = np.concatenate(heights) if cells else None
+    gsd_m = float("nan") if height is None else overlap.gsd_m(float(np.median(height)))
     tree: dict[str, Any] = {
         "frame": "map",
         "cell_m": grid.cell_m,
@@ -45,7 +46,7 @@ def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) ->
             "filled": filled / max(cells, 1),
         },
     }
-    if cells:
+    if height is not None:
         tree["surface"]["median_sigma_m"] = float(np.median(np.concatenate(sigmas)))
-        tree["surface"]["height_m"] = [min(heights), max(heights)]
+        tree["surface"]["height_m"] = [float(height.min()), float(height.max())]
     return tree

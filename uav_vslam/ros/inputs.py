@@ -67,11 +67,6 @@ class Input:
     first_s: float = 0.0
     last_s: float = 0.0
 
-    @property
-    def type_name(self) -> str:
-        """Name of the type that it takes, as in "sensor_msgs/msg/Imu"."""
-        return f"{self.message_type.__module__.split('.')[0]}/msg/{self.message_type.__name__}"
-
     def subscribe(self, node: Node) -> None:
         """Create the subscription; its policies can be overridden by parameters qos_overrides.<topic>.subscription."""
         self.qos = copy.copy(self.qos)  # rclpy writes overrides into it, and other topics share the profile
@@ -82,7 +77,7 @@ class Input:
         if self.subscription.get_publisher_count():
             return False
         published = node.get_publishers_info_by_topic(self.subscription.topic_name)
-        offers = [info.qos_profile for info in published if info.topic_type == self.type_name]
+        offers = [info.qos_profile for info in published if info.topic_type == type_name(self.message_type)]
         if not offers:
             return False
         reliability, durability = self.qos.reliability, self.qos.durability
@@ -191,12 +186,17 @@ def silent(inputs: Iterable[Input]) -> list[str]:
     return [topic for topic, received in any_received.items() if not received]
 
 
+def type_name(message_type: Any) -> str:
+    """Return the name of a type of messages, as in "sensor_msgs/msg/Imu"."""
+    return f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
+
+
 def wrong_type(inputs: Iterable[Input], topic: str, node: Node) -> str:
     """Return what a topic is published as, if as nothing that its inputs take: DDS matches no other type, silently."""
     offered, taken = set(), set()
     for one in inputs:
         if one.stands_for == topic:
-            taken.add(one.type_name)
+            taken.add(type_name(one.message_type))
             offered |= {info.topic_type for info in node.get_publishers_info_by_topic(one.subscription.topic_name)}
     if not offered or offered & taken:
         return ""

@@ -29,6 +29,7 @@ from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.diagnostics import status_message
+from uav_vslam.ros.inputs import type_name
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.readiness import DiscoveryReport
@@ -95,8 +96,7 @@ class RecorderNode(Node):
         super().destroy_node()
 
     def _record(self, topic: str, message_type: Any, vehicle: str) -> None:
-        package, name = message_type.__module__.split(".")[0], message_type.__name__
-        batches = Batches(at_once=True)
+        name, batches = type_name(message_type), Batches(at_once=True)
 
         def write(data: bytes, _: Any) -> None:
             batches.at_once = False  # there are messages: its QoS suits the publisher
@@ -104,7 +104,7 @@ class RecorderNode(Node):
             try:
                 stamp_ns = header_stamp_ns(data)
                 if stamp_ns or topic != "/diagnostics":  # these are stamped 0 until the clock runs
-                    self._bag.write(topic, f"{package}/msg/{name}", data, stamp_ns)
+                    self._bag.write(topic, name, data, stamp_ns)
                     self._written += 1
             except BagError as error:
                 self._dropped += 1

@@ -35,11 +35,11 @@ class Timing:
 
     Attributes:
         readout_s: of the cameras, see `rig.readout_s` [s].
-        time_offset_s: of their clock, see `TimeOffset`; None if only its prior is known [s].
+        time_offset_s: of their clock, see `TimeOffset` [s].
     """
 
     readout_s: float
-    time_offset_s: float | None = None
+    time_offset_s: float = 0.0
 
 
 class SlamFlight:
@@ -62,7 +62,7 @@ class SlamFlight:
         archive: MapArchive | None = None,
         start_map: SavedMap | None = None,
         announced: bool = True,
-        time_offset_s: float | None = None,
+        time_offset_s: float = 0.0,
     ) -> None:
         """Begin at a start state.
 
@@ -75,12 +75,11 @@ class SlamFlight:
             archive: takes all landmarks.
             start_map: on which the start state depends, if any.
             announced: fusion knows the session; a new one it gets to know by the first frame's joint information.
-            time_offset_s: of the cameras' clock, if it was measured [s].
+            time_offset_s: of the cameras' clock, as it was measured [s].
         """
         self.backend = SlamBackend(initial, rig=rig, config=config, vehicle=vehicle, session=session)
-        if time_offset_s is not None:
-            self.backend.expect_time_offset(time_offset_s)
-            self.backend.keep_time_offset()
+        self.backend.expect_time_offset(time_offset_s)
+        self.backend.keep_time_offset()
         self.archive = archive
         self.motion_lost = 0
         self._rig, self._config, self._start_map = rig, config, start_map
@@ -112,7 +111,7 @@ class SlamFlight:
         """Whether readout and clock of the cameras have been measured, and are about as the flight has begun with."""
         if self._shutter.watching or self._clock is None or not self._clock.is_known:
             return False
-        return abs(self.backend.time_offset_s - (self._begun_offset_s or 0.0)) < WARNED_S
+        return abs(self.backend.time_offset_s - self._begun_offset_s) < WARNED_S
 
     @property
     def contradicting_timing(self) -> Timing | None:

@@ -273,7 +273,7 @@ class SlamStage:
         return self._new_flight(self.initial, self.rig, config, time_offset_s=timing.time_offset_s)
 
     def _new_flight(
-        self, initial: NavEstimate, rig: StereoRig, config: VehicleConfig, *, time_offset_s: float | None = None
+        self, initial: NavEstimate, rig: StereoRig, config: VehicleConfig, *, time_offset_s: float = 0.0
     ) -> SlamFlight:
         return SlamFlight(
             initial,
