@@ -132,7 +132,7 @@ def test_each_node_of_a_vehicle_killed_in_turn_leaves_it_consistent(
     """In real time, slowly enough that a busy machine has the last node back before the flight ends."""
     nodes = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
     frames_ns = stamps_ns(undisturbed)
-    kills = {frames_ns[6 + 7 * k]: f"uav1/{node}" for k, node in enumerate(nodes)}
+    kills = {frames_ns[5 + 6 * k]: f"uav1/{node}" for k, node in enumerate(nodes)}
     outputs = fly(launched, tmp_path, begin, kills, rate=0.1)
     for name, flown in outputs.items():
         truth, calm = Trajectory.from_estimates(flown.truth), list(undisturbed[name][1].poses)
