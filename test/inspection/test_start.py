@@ -10,6 +10,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.inspection.start import check_start, check_truth
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
@@ -35,7 +36,7 @@ def start(R: np.ndarray, velocity: np.ndarray) -> NavEstimate:
 
 
 def findings(given: NavEstimate, truth: TruthTrack) -> list[str]:
-    found = check_start([given], IMAGES_NS, [], CONFIG, truth)
+    found = check_start([given], IMAGES_NS, ImuSeries(), CONFIG, truth)
     return [each.seen for each in found if "the truth's" in each.seen]
 
 
@@ -50,14 +51,14 @@ def test_a_start_is_compared_with_truth_of_any_frame(turn: Pose) -> None:
 
 @pytest.mark.parametrize(("turn", "told"), [(ELSEWHERE, True), (Pose.identity(), False)])
 def test_truth_of_a_frame_of_its_own_is_told(turn: Pose, told: bool) -> None:
-    found = check_start([start(np.eye(3), AHEAD)], IMAGES_NS, [], CONFIG, truth_every(0.02, turn))
+    found = check_start([start(np.eye(3), AHEAD)], IMAGES_NS, ImuSeries(), CONFIG, truth_every(0.02, turn))
     (seen,) = [each.seen for each in found if each.subject == "truth origin"] or [""]
     assert seen == ("where the flight starts it is 100 m and 115 deg from the start state" if told else "")
 
 
 def test_a_start_without_a_covariance_is_told_that_alone() -> None:
     bad = dataclasses.replace(start(np.eye(3), np.zeros(3)), covariance=-np.eye(15))
-    (found,) = check_start([bad], IMAGES_NS, [], CONFIG, truth_every(0.02))
+    (found,) = check_start([bad], IMAGES_NS, ImuSeries(), CONFIG, truth_every(0.02))
     assert found.subject == "start covariance"
 
 

@@ -24,7 +24,7 @@ from uav_vslam.datasets.messages import (
 )
 from uav_vslam.datasets.rosbag import iter_raw, iter_readable, names_of
 from uav_vslam.datasets.stereo_sync import LATE_NS, PairTolerance, StereoPairer
-from uav_vslam.datasets.truth_track import TruthTrack, truth_track
+from uav_vslam.datasets.truth_track import TruthSeries, TruthTrack
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
@@ -81,15 +81,15 @@ class BagFlight:
 
     def truth(self) -> TruthTrack | None:
         """Return the true motion, maybe without any pose that can be used; None if none was recorded."""
-        samples, left_out = [], 0
+        samples, left_out = TruthSeries(), 0
         for raw in iter_readable(self.paths, [self.input.topic(self.vehicle, "truth")]):
             if raw.msgtype not in TRUTH_TYPES:
                 return None
             try:
-                samples.append(truth_of(decode(raw)))
+                samples.add(truth_of(decode(raw)))
             except (BagError, InvalidMessage):
                 left_out += 1
-        return dataclasses.replace(truth_track(samples), left_out=left_out) if samples or left_out else None
+        return dataclasses.replace(samples.track(), left_out=left_out) if samples or left_out else None
 
     def stamps_apart_ns(self, first: int | None = None) -> NDArray[np.int64]:
         """Return the distance of each left image's stamp to the nearest right one's [ns].

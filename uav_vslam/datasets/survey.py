@@ -2,6 +2,7 @@
 """Reads all of one vehicle's recording in one pass, faults included, for `inspection`: nothing here refuses it."""
 
 import zlib
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -29,10 +30,11 @@ from uav_vslam.datasets.messages import (
 from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
-from uav_vslam.datasets.truth_track import TruthTrack, truth_track
+from uav_vslam.datasets.truth_track import TruthSeries, TruthTrack
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.stereo import SIDES
-from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
+from uav_vslam.ins.imu_series import ImuSeries
+from uav_vslam.types import NS_PER_S, NavEstimate, StereoFrame
 
 Array = NDArray[np.float64]
 
@@ -104,7 +106,7 @@ class Survey:
     topics: dict[str, TopicInfo]
     setup: SensorSetup
     streams: dict[str, Stream] = field(default_factory=dict)
-    imu: list[ImuSample] = field(default_factory=list)
+    imu: ImuSeries = field(default_factory=ImuSeries)
     problems: list[str] = field(default_factory=list)
     initial: list[NavEstimate] = field(default_factory=list)
     child_frames: dict[str, str] = field(default_factory=dict)
@@ -166,10 +168,10 @@ class _Reader:
         setup, problems = _setup(vehicle, config)
         self.found = Survey(vehicle, config, topics, setup, problems=problems)
         self._roles = roles_of(topics, vehicle, config)
-        self._stamps: dict[str, list[tuple[int, int]]] = {role: [] for role in self._roles.values()}
+        self._stamps = {role: array("q") for role in self._roles.values()}  # of header and recorder, in turn
         self._errors: dict[str, list[str]] = {role: [] for role in self._roles.values()}
         self._unmoved = UnmovedFrames()
-        self._truth: list[Any] = []
+        self._truth = TruthSeries()
         self._checksums: dict[str, list[int]] = {side: [] for side in SIDES}
         self._pairer: StereoPairer[RawMessage | None] = StereoPairer(
             tolerance_ns=round(config.pair_tolerance_s * NS_PER_S)
@@ -195,7 +197,7 @@ class _Reader:
             return
         role = self._roles[raw.topic]
         try:
-            self._stamps[role].append((header_stamp_ns(raw.data), raw.stamp_ns))
+            self._stamps[role].extend((header_stamp_ns(raw.data), raw.stamp_ns))
             self._add_image(role, raw) if role in SIDES else self._add_message(role, decode(raw))
         except (BagError, CalibrationError, ValueError) as error:
             self._errors[role].append(str(error))
@@ -210,17 +212,17 @@ class _Reader:
             self.found.streams[role] = Stream(topic, info.msgtype, stamps[:, 0], stamps[:, 1], self._errors[role])
         for side, checksums in self._checksums.items():
             self.found.repeated[side] = np.diff(np.array(checksums, np.int64), prepend=-1) == 0
-        self.found.truth = truth_track(self._truth) if self._truth else None
+        self.found.truth = self._truth.track() if self._truth else None
         return self.found
 
     def _add_message(self, role: str, built: Any) -> None:
         if role == "imu":
             if self.found.setup.imu_frame is None:
                 self.found.setup.imu_frame = built.header.frame_id
-            self.found.imu.append(imu_of(built))
+            self.found.imu.extend([imu_of(built)])
         elif role == "truth":
             self.found.child_frames.setdefault(role, getattr(built, "child_frame_id", ""))
-            self._truth.append(truth_of(built))
+            self._truth.add(truth_of(built))
         elif role == "initial_state":
             self.found.child_frames.setdefault(role, built.child_frame_id)
             self.found.initial.append(navigation_state_of(built))

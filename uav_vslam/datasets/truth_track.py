@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The true motion of a recording, in stamp order."""
 
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
 
+NUMBERS = 15  # of a sample: position, velocity, rotation
 LEAST_DISPLACEMENT_M = 0.5  # within a second, with which velocities are compared: more than positions scatter by
 
 
@@ -47,22 +49,36 @@ class TruthTrack:
         return np.asarray(np.linalg.norm(np.diff(self.positions_world, axis=0), axis=1) / seconds)
 
 
-def truth_track(samples: list[TruthSample]) -> TruthTrack:
-    """Return samples in any order as a track.
+class TruthSeries:
+    """Collects samples in any order, in arrays: 130 bytes each, where records take a kilobyte."""
 
-    Velocities are differences where only poses were recorded, or a twist that contradicts them, such as one that was
-    never filled in.
-    """
-    if not samples:
-        return TruthTrack(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    samples = sorted({sample.stamp_ns: sample for sample in samples}.values(), key=lambda s: s.stamp_ns)
-    stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
-    positions = np.array([s.T_world_body.t for s in samples])
-    velocities = np.array([s.v_world for s in samples])
-    times_s = (stamps - stamps[0]) / NS_PER_S
-    if len(samples) > 1 and (np.isnan(velocities).any() or _contradict(times_s, positions, velocities)):
-        velocities = np.gradient(positions, times_s, axis=0)
-    return TruthTrack(stamps, positions, np.array([s.T_world_body.R for s in samples]), velocities)
+    def __init__(self) -> None:
+        self._stamps, self._numbers = array("q"), array("d")
+
+    def add(self, sample: TruthSample) -> None:
+        """Append a sample; one of the same stamp as an earlier one replaces it."""
+        self._stamps.append(sample.stamp_ns)
+        for values in (sample.T_world_body.t, sample.v_world, sample.T_world_body.R):
+            self._numbers.extend(values.ravel().tolist())
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def track(self) -> TruthTrack:
+        """Return all samples as a track.
+
+        Velocities are differences where only poses were recorded, or a twist that contradicts them, such as one that
+        was never filled in.
+        """
+        stamps = np.array(self._stamps, np.int64)
+        order = np.argsort(stamps, kind="stable")
+        last = np.diff(stamps[order], append=np.iinfo(np.int64).max) != 0  # of those with the same stamp
+        rows = np.array(self._numbers, float).reshape(-1, NUMBERS)[order[last]]
+        stamps, positions, velocities = stamps[order[last]], rows[:, 0:3], rows[:, 3:6]
+        times_s = (stamps - stamps[:1]) / NS_PER_S
+        if len(stamps) > 1 and (np.isnan(velocities).any() or _contradict(times_s, positions, velocities)):
+            velocities = np.gradient(positions, times_s, axis=0)
+        return TruthTrack(stamps, positions, rows[:, 6:].reshape(-1, 3, 3), velocities)
 
 
 def _contradict(times_s: Array, positions: Array, velocities: Array) -> bool:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The checks of the IMU, with the other sources about its axes: start state, truth, cameras."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +10,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.survey import Survey
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.inspection import imu_readings, limits
 from uav_vslam.inspection.finding import Finding, Severity, count
@@ -22,18 +25,18 @@ Array = NDArray[np.float64]
 START_WINDOW_S = 1.0  # before and after the start state, over which specific force is averaged
 
 
-def readings_in_body(survey: Survey) -> list[ImuSample]:
+def readings_in_body(survey: Survey) -> ImuSeries:
     """Return the readings that the graph takes, in the body; in their own axes where the mounting is unknown."""
     try:
         mounting = ImuMounting(survey.setup.T_body_imu())
     except CalibrationError:
-        return _increasing(survey.imu)
-    return [mounting.to_body(one) for one in _increasing(survey.imu)]
+        return ImuSeries(_increasing(survey.imu))
+    return ImuSeries(map(mounting.to_body, _increasing(survey.imu)))
 
 
 def check_imu(
     survey: Survey,
-    readings: list[ImuSample],
+    readings: ImuSeries,
     rig: StereoRig | None,
     looked: Views,
     config: VehicleConfig,
@@ -50,7 +53,7 @@ def check_imu(
     Returns:
         The findings, and the noise by sensor; empty where it can't be measured.
     """
-    raw = [np.array([getattr(one, name) for one in survey.imu]).reshape(-1, 3) for name in ("gyro", "accel")]
+    raw = survey.imu.gyro, survey.imu.accel
     found = imu_readings.check_finite(*raw)
     if not readings:
         return found, {}
@@ -60,8 +63,7 @@ def check_imu(
     for (sensor, unit), values in zip(imu_readings.SENSORS, raw, strict=True):
         found += imu_readings.check_stuck(values[finite], sensor)
         found += imu_readings.check_saturation(values[finite], sensor, unit)
-    stamps = np.array([one.stamp_ns for one in readings], np.int64)
-    gyro, accel = np.array([one.gyro for one in readings]), np.array([one.accel for one in readings])
+    stamps, gyro, accel, measured = readings.stamps_ns, readings.gyro, readings.accel, readings.accel_at_imu
     rate_hz = NS_PER_S / survey.streams["imu"].period_ns
     units = imu_readings.check_units(accel, gravity=config.imu.gravity, rate_hz=rate_hz)
     rates = check_rate_size(gyro)
@@ -71,7 +73,6 @@ def check_imu(
     found += [*units, *rates]
     if count([*units, *rates], Severity.ERROR):  # noise in other units would mislead
         return found, {}
-    measured = np.array([one.accel_at_imu for one in readings])
     noise = noise_levels(stamps, gyro, measured, config.imu, at_rest(stamps, gyro, measured))
     return [*found, *check_noise(noise)], noise
 
@@ -112,10 +113,10 @@ def _check_rates(
     return found
 
 
-def _increasing(readings: list[ImuSample]) -> list[ImuSample]:
-    """Return the finite readings whose stamps increase."""
-    kept: list[ImuSample] = []
+def _increasing(readings: ImuSeries) -> Iterator[ImuSample]:
+    """Yield the finite readings whose stamps increase."""
+    newest_ns: int | None = None
     for one in readings:
-        if one.is_finite and (not kept or one.stamp_ns > kept[-1].stamp_ns):
-            kept.append(one)
-    return kept
+        if one.is_finite and (newest_ns is None or one.stamp_ns > newest_ns):
+            newest_ns = one.stamp_ns
+            yield one

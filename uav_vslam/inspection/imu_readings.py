@@ -4,10 +4,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.outliers import Judged, OutlierFilter
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
-from uav_vslam.types import ImuSample
 
 Array = NDArray[np.float64]
 
@@ -28,15 +28,15 @@ def check_finite(gyro: Array, accel: Array) -> list[Finding]:
     return [judge("IMU readings", seen, "finite numbers", "such readings are dropped: correct the driver")]
 
 
-def without_outliers(readings: list[ImuSample]) -> tuple[list[ImuSample], list[Finding]]:
+def without_outliers(readings: ImuSeries) -> tuple[ImuSeries, list[Finding]]:
     """Return the readings, of those in stamp order, that the graph uses, and how many it leaves out."""
-    outliers, used, left_out = OutlierFilter(), list[ImuSample](), list[Judged]()
+    outliers, used, left_out = OutlierFilter(), ImuSeries(), list[Judged]()
     for one in readings:
         judged = outliers.add(one)
-        used += judged.readings
+        used.extend(judged.readings)
         if judged.outlier is not None:
             left_out.append(judged)
-    used += outliers.rest()
+    used.extend(outliers.rest())
     if not left_out:
         return used, []
     seen = f"{len(left_out)} of {len(readings)} are no motion, the first: {left_out[0].finding}"

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.truth import unit_of
 from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, ok, warning
 from uav_vslam.inspection.rotation import CAMERAS, RatePairs, mean_rates, rates_of_rotations
 from uav_vslam.inspection.views import Step
-from uav_vslam.types import NS_PER_S, ImuSample
+from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -134,7 +135,7 @@ def check_scale(scale: Scale | None) -> list[Finding]:
     return [warning("scale", seen, f"{low} to {high}", remedy)]
 
 
-def check_attitude(truth: TruthTrack | None, readings: list[ImuSample]) -> list[Finding]:
+def check_attitude(truth: TruthTrack | None, readings: ImuSeries) -> list[Finding]:
     """Check that truth turns if the gyroscope does.
 
     Args:
@@ -143,11 +144,12 @@ def check_attitude(truth: TruthTrack | None, readings: list[ImuSample]) -> list[
     """
     if truth is None or len(truth) < 3 or truth.turns:
         return []
-    within = [one for one in readings if truth.stamps_ns[0] <= one.stamp_ns <= truth.stamps_ns[-1]]
-    if len(within) < 2:
+    within = (readings.stamps_ns >= truth.stamps_ns[0]) & (readings.stamps_ns <= truth.stamps_ns[-1])
+    stamps_ns, gyro = readings.stamps_ns[within], readings.gyro[within]
+    if len(stamps_ns) < 2:
         return []
-    parts = max(1, round((within[-1].stamp_ns - within[0].stamp_ns) / (INTERVAL_S * NS_PER_S)))
-    means = [part.mean(axis=0) for part in np.array_split(np.array([one.gyro for one in within]), parts) if len(part)]
+    parts = max(1, round((stamps_ns[-1] - stamps_ns[0]) / (INTERVAL_S * NS_PER_S)))
+    means = [part.mean(axis=0) for part in np.array_split(gyro, parts) if len(part)]
     rate = float(np.linalg.norm(means, axis=1).max())
     if rate <= limits.TURNS:
         return []

@@ -2,6 +2,7 @@
 """Start state and ground truth: present, at the time of the flight, plausible."""
 
 import math
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,13 @@ from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagation import POSITION, ROTATION, VELOCITY
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 from uav_vslam.numerics import is_positive_definite
-from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate
+from uav_vslam.types import NS_PER_S, NavEstimate
 
 Stamps = NDArray[np.int64]
 
@@ -31,7 +33,7 @@ METHODS = "start.method: static for a vehicle at rest, in_flight for one that fl
 def check_start(
     initial: list[NavEstimate],
     images_ns: Stamps,
-    readings: list[ImuSample],
+    readings: ImuSeries,
     config: VehicleConfig,
     truth: TruthTrack | None,
 ) -> list[Finding]:
@@ -89,9 +91,7 @@ def check_truth(truth: TruthTrack | None, images_ns: Stamps, *, recorded: bool) 
     ]
 
 
-def _check_given(
-    start: NavEstimate, images_ns: Stamps, readings: list[ImuSample], truth: TruthTrack | None
-) -> list[Finding]:
+def _check_given(start: NavEstimate, images_ns: Stamps, readings: ImuSeries, truth: TruthTrack | None) -> list[Finding]:
     found = []
     speed = float(np.linalg.norm(start.state.v_map))
     if not np.isfinite(start.covariance).all() or not is_positive_definite(start.covariance):
@@ -106,7 +106,7 @@ def _check_given(
     return found or [ok("start state", f"given, speed {speed:.2f} m/s")]
 
 
-def _check_start_time(stamp_ns: int, images_ns: Stamps, readings: list[ImuSample]) -> list[Finding]:
+def _check_start_time(stamp_ns: int, images_ns: Stamps, readings: ImuSeries) -> list[Finding]:
     if len(images_ns) == 0:
         return []
     into_s = (stamp_ns - images_ns.min()) / NS_PER_S
@@ -115,8 +115,9 @@ def _check_start_time(stamp_ns: int, images_ns: Stamps, readings: list[ImuSample
     if unused >= len(images_ns) or into_s < -limits.START_BEFORE_S:
         seen = f"stamped {into_s:.2f} s after the first image, which leaves {len(images_ns) - unused} images"
         return [error("start time", seen, f"within the flight, or {limits.START_BEFORE_S:g} s before it", remedy)]
-    if readings and readings[0].stamp_ns - stamp_ns > MAX_GAP_S * NS_PER_S:
-        seen = f"{(readings[0].stamp_ns - stamp_ns) / NS_PER_S:.2f} s before the first reading"
+    before_s = (readings.stamps_ns[0] - stamp_ns) / NS_PER_S if readings else 0.0
+    if before_s > MAX_GAP_S:
+        seen = f"{before_s:.2f} s before the first reading"
         return [warning("start time", seen, f"at most {MAX_GAP_S:g} s: the motion between is unknown", remedy)]
     if unused > 1:
         seen = f"{unused} of {len(images_ns)} images are before it"
@@ -164,7 +165,7 @@ def _vector(v: NDArray[np.float64]) -> str:
     return " ".join(f"{x:.2f}" for x in v)
 
 
-def _check_static(readings: list[ImuSample], config: VehicleConfig) -> list[Finding]:
+def _check_static(readings: ImuSeries, config: VehicleConfig) -> list[Finding]:
     try:
         _static(readings, config)
     except UavVslamError as refused:
@@ -172,7 +173,7 @@ def _check_static(readings: list[ImuSample], config: VehicleConfig) -> list[Find
     return [ok("start state", f"start.method static: at rest for {config.start.rest_s:g} s")]
 
 
-def method_for(readings: list[ImuSample], config: VehicleConfig) -> str:
+def method_for(readings: ImuSeries, config: VehicleConfig) -> str:
     """Return the start.method that suits a recording without a start state."""
     try:
         _static(readings, config)
@@ -181,6 +182,7 @@ def method_for(readings: list[ImuSample], config: VehicleConfig) -> str:
     return "static"
 
 
-def _static(readings: list[ImuSample], config: VehicleConfig) -> NavEstimate:
-    first = [r for r in readings if r.stamp_ns - readings[0].stamp_ns <= config.start.rest_s * NS_PER_S]
+def _static(readings: ImuSeries, config: VehicleConfig) -> NavEstimate:
+    rest_s = config.start.rest_s
+    first = list(takewhile(lambda one: one.stamp_ns - readings.stamps_ns[0] <= rest_s * NS_PER_S, readings))
     return static_alignment(first, first[-1].stamp_ns if first else 0, config.imu)
