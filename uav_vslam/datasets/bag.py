@@ -10,13 +10,14 @@ from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cdr import decode
+from uav_vslam.datasets.foreign_mcap import named
 from uav_vslam.datasets.frame_tree import TF, TF_STATIC, Edge, UnmovedFrames
 from uav_vslam.datasets.messages import (
     TRUTH_TYPES,
     navigation_state_of,
     transforms_of,
 )
-from uav_vslam.datasets.rosbag import TopicInfo, iter_readable, names_of, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, foreign_topics_of, iter_readable, names_of, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.truth import unread_text
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
@@ -93,6 +94,8 @@ def _warnings(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
     if setup.frames.moved:
         frames = ", ".join(sorted(setup.frames.moved))
         yield f"{TF_STATIC} places {frames} differently from message to message; the last one counts"
+    if foreign := foreign_topics_of(bags):
+        yield f"{named(foreign)} instead of CDR, and are not read"
     topic = setup.config.topic(setup.vehicle, "truth")
     truth = _first(bags, topic)
     if truth is not None and truth.__msgtype__ not in TRUTH_TYPES:
@@ -115,6 +118,8 @@ def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: st
     folder = f"/{topic.split('/')[1]}/"
     own = sorted(t for t in topics if t.startswith(folder))
     there = f"below {folder} it holds {', '.join(own)}" if own else f"it holds {', '.join(sorted(topics)) or 'nothing'}"
+    if foreign := foreign_topics_of(bags):
+        there += f"; {named(foreign)}, which can't be read"
     remedy = "set input.calibration" if topic == TF_STATIC else "set input.topics"
     remedy += ", or input.calibration" if topic.endswith("camera_info") else ""
     return BagError(f"bag {names_of(bags)} lacks {topic}; {there}; record that topic, or {remedy}")

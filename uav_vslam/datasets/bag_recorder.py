@@ -19,11 +19,12 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from uav_vslam.datasets.cdr import definition, require_type
+from uav_vslam.datasets.mcap_writer import Writer
 from uav_vslam.datasets.retrying_file import RetryingFile
 from uav_vslam.datasets.rosbag import require_sqlite_path
 from uav_vslam.datasets.truncated_mcap import readable_messages

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from rosbags.interfaces import Connection, QosDurability
-from rosbags.rosbag2.reader import DirectoryReader
 
 from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.bag_reader import Reader
@@ -80,7 +79,7 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
 
 
 class UpToDamage(Generic[Item]):
-    """What is read of bags before their damage, and the error that it raised."""
+    """What can be read of damaged bags, and the error that follows."""
 
     def __init__(self, items: Iterable[Item]) -> None:
         self._items = items
@@ -91,6 +90,17 @@ class UpToDamage(Generic[Item]):
             yield from self._items
         except BagError as error:
             self.error = error
+
+
+def foreign_topics_of(paths: Sequence[Path]) -> dict[str, str]:
+    """Return the encodings of topics that are left out because their messages are not of ROS 2: "protobuf"."""
+    foreign: dict[str, str] = {}
+    for file in _files(paths):
+        if not is_truncated(file) and file.suffix != ros1_bag.SUFFIX:
+            with ExitStack() as stack:
+                for mcap in _open(file, stack).mcap_files:
+                    foreign |= {_full_name(topic): encoding for topic, encoding in mcap.foreign.items()}
+    return foreign
 
 
 def iter_readable(paths: Sequence[Path], topics: Sequence[str]) -> Iterator[RawMessage]:
@@ -207,6 +217,11 @@ def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterat
             for connection, stamp_ns, data in reader.messages(wanted):
                 recorded = connection.msgdef.data
                 yield RawMessage(_full_name(connection.topic), connection.msgtype, stamp_ns, bytes(data), recorded)
+        if damage := [one for file in reader.mcap_files for one in file.damage]:
+            raise BagError(
+                f"bag {given_as(file)} is damaged: {len(damage)} of its chunks can't be read and were left out, the "
+                f"first {damage[0]}; record it again or use the readable part"
+            )
 
 
 def _full_name(topic: str) -> str:
@@ -216,9 +231,7 @@ def _full_name(topic: str) -> str:
 
 def _connections(reader: Reader) -> list[Connection]:
     """Return the connections that the storage files hold: of those in metadata.yaml, others' QoS gives no message."""
-    folder = reader.storage
-    storages = folder.storages if isinstance(folder, DirectoryReader) else [folder]
-    return [connection for storage in storages for connection in storage.connections]
+    return [connection for storage in reader.storages for connection in storage.connections]
 
 
 def _messages_of_ros1_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:

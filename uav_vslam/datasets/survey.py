@@ -27,7 +27,7 @@ from uav_vslam.datasets.messages import (
     transforms_of,
     truth_of,
 )
-from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, foreign_topics_of, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.datasets.truth_track import TruthSeries, TruthTrack
@@ -86,7 +86,8 @@ class Survey:
     Attributes:
         vehicle: name.
         input: where its data come from.
-        topics: all of the recording.
+        topics: all of the recording that are of ROS 2.
+        foreign: encodings of its other topics.
         streams: by role, a field of `TopicsConfig`; those that were recorded with a type that can be read.
         imu: readings in the IMU's own axes.
         setup: calibration.
@@ -105,6 +106,7 @@ class Survey:
     input: InputConfig
     topics: dict[str, TopicInfo]
     setup: SensorSetup
+    foreign: dict[str, str] = field(default_factory=dict)
     streams: dict[str, Stream] = field(default_factory=dict)
     imu: ImuSeries = field(default_factory=ImuSeries)
     problems: list[str] = field(default_factory=list)
@@ -152,6 +154,7 @@ def survey_flight(
         BagError: a path is missing or not a bag, or nothing of it can be read.
     """
     reader = _Reader(topics_of(paths), vehicle.strip("/"), config)
+    reader.found.foreign = foreign_topics_of(paths)
     try:
         for raw in iter_raw(paths, reader.wanted):
             reader.add(raw)

@@ -15,6 +15,7 @@ from mcap.records import Channel, Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
 from uav_vslam.datasets.cdr import RawMessage
+from uav_vslam.datasets.foreign_mcap import is_of_ros2
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
@@ -33,25 +34,28 @@ def is_truncated(file: Path) -> bool:
 
 
 def readable_messages(file: Path) -> Iterator[RawMessage]:
-    """Yield every complete message in file order, then raise.
+    """Yield every complete message of ROS 2 in file order, then raise.
 
     Raises:
         EOFError: always, where the file ends.
         ValueError: not an mcap file.
     """
-    schemas: dict[int, tuple[str, str]] = {}
-    channels: dict[int, tuple[str, str, str]] = {}
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, tuple[str, str, str]] = {}  # topic, type and its definition
     for opcode, payload in _records(file):
         if opcode == SCHEMA:
-            schema = Schema.read(ReadDataStream(BytesIO(payload)))
-            schemas[schema.id] = schema.name, schema.data.decode(errors="replace")
+            read = Schema.read(ReadDataStream(BytesIO(payload)))
+            schemas[read.id] = read
         elif opcode == CHANNEL:
             found = Channel.read(ReadDataStream(BytesIO(payload)))
-            channels[found.id] = found.topic, *schemas[found.schema_id]
+            schema = schemas.get(found.schema_id)
+            if schema is not None and is_of_ros2(found, schema):
+                channels[found.id] = found.topic, schema.name, schema.data.decode(errors="replace")
         elif opcode == MESSAGE:
-            channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(payload)
-            topic, msgtype, definition = channels[channel]
-            yield RawMessage(topic, msgtype, stamp_ns, payload[MESSAGE_HEAD.size :], definition)
+            number, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(payload)
+            if number in channels:
+                topic, msgtype, definition = channels[number]
+                yield RawMessage(topic, msgtype, stamp_ns, payload[MESSAGE_HEAD.size :], definition)
 
 
 def _records(file: Path) -> Iterator[tuple[int, bytes]]:
@@ -76,7 +80,7 @@ def _records(file: Path) -> Iterator[tuple[int, bytes]]:
 
 def _chunk_records(payload: bytes, *, whole: bool) -> Iterator[tuple[int, bytes]]:
     if whole:
-        stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(payload))))
+        stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(payload))), validate_crc=True)
         data = stream.read(length)
     elif len(payload) < CHUNK_HEAD.size + 12 or _string(payload, CHUNK_HEAD.size):
         return  # incomplete compressed data can't be read
