@@ -244,16 +244,31 @@ def test_what_the_recorder_s_clock_stamped_comes_with_the_inputs_around_it(bags:
     assert "/uav1/right/camera_info" in dict(stamps)
 
 
-def test_a_message_without_content_ends_its_bag_as_damage_does(bags: list[Path], tmp_path: Path) -> None:
-    """As one of a ROS 1 bag that can't be read has none: its frame would be waited for in vain."""
-    emptied = [raw for raw in iter_raw([bags[0]]) if raw.topic == "/uav1/imu/data_raw"][20]
+@pytest.mark.parametrize("size", [0, 1, 11, 40])
+@pytest.mark.parametrize("topic", ["imu/data_raw", "left/image_raw", "left/camera_info"])
+def test_a_message_that_can_not_be_read_costs_itself(topic: str, size: int, bags: list[Path], tmp_path: Path) -> None:
+    """A node would not answer it, and its frame would be waited for in vain."""
+    cut = [raw for raw in iter_raw([bags[0]]) if raw.topic == f"/uav1/{topic}"][5]
 
-    def without(raw: RawMessage) -> list[bytes]:
-        return [b"" if raw == emptied else raw.data]
+    def truncated(raw: RawMessage) -> list[bytes]:
+        return [raw.data[:size] if raw == cut else raw.data]
 
-    recording = Recording([rewritten(bags[0], tmp_path / "emptied", without)])
-    assert sum(message.topic == "/uav1/imu/data_raw" for message in recording.messages()) == 20
-    assert f"/uav1/imu/data_raw at {emptied.stamp_ns} ns can't be read" in recording.damage[0]
+    recording = Recording([rewritten(bags[0], tmp_path / "cut", truncated)])
+    replayed = [(one.topic, one.payload) for one in recording.messages()]
+    expected = [(one.topic, one.payload) for one in Recording([bags[0]]).messages()]
+    assert replayed == [one for one in expected if one != (cut.topic, cut.data)] != expected
+    assert recording.left_out == {cut.topic: 1}
+    assert recording.damage == []
+
+
+def test_latched_messages_that_can_not_be_read_are_left_out(bags: list[Path], tmp_path: Path) -> None:
+    def twice(raw: RawMessage) -> list[bytes]:
+        return [raw.data, raw.data[:7]] if raw.topic in {"/tf_static", "/uav1/initial_state"} else [raw.data]
+
+    recording = Recording([rewritten(bags[0], tmp_path / "cut", twice)])
+    assert recording.starts_ns == {"uav1": START_NS}
+    assert [raw.data for raw in recording.latched] == [raw.data for raw in Recording([bags[0]]).latched]
+    assert recording.left_out == {"/tf_static": 1, "/uav1/initial_state": 1}
 
 
 def test_separately_recorded_static_transforms_are_all_kept(bags: list[Path], tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 """The messages of a fleet's bags that are replayed, as serialised bytes."""
 
 import heapq
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -9,11 +10,11 @@ from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import unmoved_edges
 from uav_vslam.datasets.bag import vehicles as vehicles_of
-from uav_vslam.datasets.cdr import RawMessage, encode
+from uav_vslam.datasets.cdr import RawMessage, decode, encode
 from uav_vslam.datasets.frame_tree import TF, TF_STATIC
 from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, iter_readable, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import SIDES
@@ -23,6 +24,7 @@ from uav_vslam.types import NS_PER_S
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 INITIAL_STATE = "initial_state"
 KINDS = {"left": Kind.LEFT, "right": Kind.RIGHT, "left_info": Kind.INFO, "imu": Kind.IMU}  # by role
+LEAST_BYTES = 4  # of a serialised message
 # Outputs of the nodes: not replayed from the recording of a whole run.
 OUTPUTS = ("odometry", "path", "landmarks", "stereo_features", "joint_information", "landmark_information")
 OUTPUT_FOLDERS = ("ins/", "slam/", "fused/", "fusion/")
@@ -35,7 +37,8 @@ class Recording:
         vehicles: names, in the order requested.
         topics: those replayed, by name.
         starts_ns: stamp of each vehicle's start state [ns]; absent if none is replayed.
-        damage: errors that ended a bag early.
+        damage: errors of damaged bags; of `messages`, once it is read.
+        left_out: messages that can't be read, by topic, so far.
     """
 
     def __init__(
@@ -68,6 +71,7 @@ class Recording:
         self._roles = {topic: (vehicle, role) for vehicle in self.vehicles for role, topic in self._named(vehicle)}
         self.topics = {topic: info for topic, info in known.items() if self._is_input(topic)}
         self.damage: list[str] = []
+        self.left_out: Counter[str] = Counter()
         for vehicle in self.vehicles:
             self._require(vehicle)
         self.latched = self._read_latched()
@@ -110,39 +114,36 @@ class Recording:
         )
 
     def messages(self) -> Iterator[Recorded]:
-        """Yield all but the latched messages in recorded order; a damaged bag ends early.
+        """Yield all but the latched messages in recorded order, as far as they can be read.
 
         What paces the replay has the stamp of its header, and all else that of the last such message: the clock of the
         recorder may be another one.
         """
         latched = {raw.topic for raw in self.latched}
         topics = [topic for topic in self.topics if topic not in latched]
-        streams = [self._until_broken(path, topics) for path in self._paths]
+        streams = [UpToDamage(iter_raw([path], topics)) for path in self._paths]
         newest_ns: int | None = None
         for raw in heapq.merge(*streams, key=lambda raw: raw.stamp_ns):
             vehicle, kind = self.classify(raw.topic)
+            if not (_is_valid(raw) if kind is not Kind.OTHER else len(raw.data) >= LEAST_BYTES):  # no node answers it
+                self.left_out[raw.topic] += 1
+                continue
             if kind is not Kind.OTHER:
                 newest_ns = header_stamp_ns(raw.data)
             stamp_ns = raw.stamp_ns if newest_ns is None else newest_ns
             yield Recorded(raw.topic, raw.msgtype, vehicle, kind, stamp_ns, raw.data)
-
-    def _until_broken(self, path: Path, topics: Sequence[str]) -> Iterator[RawMessage]:
-        try:
-            for raw in iter_raw([path], topics):
-                if not raw.data:
-                    raise BagError(f"{path}: a message on {raw.topic} at {raw.stamp_ns} ns can't be read")
-                yield raw
-        except BagError as error:
-            self.damage.append(str(error))
+        self.damage = [str(stream.error) for stream in streams if stream.error]
 
     def _read_latched(self) -> list[RawMessage]:
         topics = [topic for topic, info in self.topics.items() if info.latched or self._is_latched(topic)]
         newest: dict[tuple[Path, str, bytes], RawMessage] = {}
         for path in self._paths:
-            for raw in self._until_broken(path, topics):
+            for raw in iter_readable([path], topics):
+                if self._is_latched(raw.topic) and not _is_valid(raw):
+                    self.left_out[raw.topic] += 1
+                    continue
                 # Several nodes may each publish a part of /tf_static.
                 newest[path, raw.topic, raw.data if raw.topic == TF_STATIC else b""] = raw
-        self.damage.clear()  # the replay detects it again
         return list(newest.values())
 
     def _borrow_frames(self) -> None:
@@ -190,3 +191,11 @@ class Recording:
                 f"{bags}: {infos} messages on {self.topic(vehicle, 'left_info')} for {images} left images; the nodes "
                 "need one with each image, of the same stamp (uav-vslam run does not), or none and input.calibration"
             )
+
+
+def _is_valid(raw: RawMessage) -> bool:
+    try:
+        decode(raw)
+    except BagError:
+        return False
+    return True

@@ -236,6 +236,9 @@ class ReplayNode(Node):
         idle = [name for name, count in self._answers.processed.items() if self._wait_for and count == 0]
         if idle:
             self.get_logger().error(f"{', '.join(idle)} processed no frame; the warnings of its nodes say why")
+        if left_out := self._recording.left_out:
+            counts = ", ".join(f"{topic} {count}" for topic, count in left_out.items())
+            self.get_logger().warning(f"messages that can't be read were left out: {counts}")
         for text in self._recording.damage:
             self.get_logger().error(text)
         raise SystemExit(2 if self._recording.damage else 1 if idle else 0)
