@@ -67,11 +67,15 @@ def test_geojson_holds_a_line_per_track_longitude_first(truth, estimate, tmp_pat
     )
 
 
+def out_and_back() -> Trajectory:
+    """Across the antimeridian, if the datum is on it."""
+    positions = np.array([[-1000.0, 0, 0], [-500, 0, 0], [1500, 1000, 40], [500, 0, 0], [-500, 0, 0]])
+    return Trajectory(np.arange(5), positions, np.tile([1.0, 0, 0, 0], (5, 1)))
+
+
 def test_geojson_is_cut_on_the_antimeridian(tmp_path):
-    """Out across it and back, 10 degrees north; 1 km is some 0.009 degrees of longitude."""
-    out_and_back = np.array([[-1000.0, 0, 0], [-500, 0, 0], [1500, 1000, 40], [500, 0, 0], [-500, 0, 0]])
-    track = Trajectory(np.arange(5), out_and_back, np.tile([1.0, 0, 0, 0], (5, 1)))
-    text = write_geojson({"a": track}, tmp_path / "f.geojson", Datum(10.0, 180.0, 0.0)).read_text()
+    """10 degrees north; 1 km is some 0.009 degrees of longitude."""
+    text = write_geojson({"a": out_and_back()}, tmp_path / "f.geojson", Datum(10.0, 180.0, 0.0)).read_text()
     line = json.loads(text)["features"][0]["geometry"]
     assert line["type"] == "MultiLineString"
     west, east, back = map(np.array, line["coordinates"])
@@ -99,3 +103,26 @@ def test_kml_holds_a_line_per_track_at_absolute_altitude(truth, tmp_path):
     assert place.find(f".//{{{KML}}}altitudeMode").text == "absolute"
     corners = [list(map(float, corner.split(","))) for corner in place.find(f".//{{{KML}}}coordinates").text.split()]
     np.testing.assert_allclose(corners, to_geodetic(truth.positions, KAGARU), atol=5.1e-4)
+
+
+def test_kml_is_cut_where_geojson_is(tmp_path):
+    datum = Datum(10.0, 180.0, 0.0)
+    place = ElementTree.parse(write_kml({"a": out_and_back()}, tmp_path / "f.kml", datum)).find(
+        f".//{{{KML}}}Placemark"
+    )
+    lines = place.findall(f"{{{KML}}}MultiGeometry/{{{KML}}}LineString")
+    assert [line.find(f"{{{KML}}}altitudeMode").text for line in lines] == ["absolute"] * 3
+    parts = [
+        [list(map(float, corner.split(","))) for corner in line.find(f"{{{KML}}}coordinates").text.split()]
+        for line in lines
+    ]
+    text = write_geojson({"a": out_and_back()}, tmp_path / "f.geojson", datum).read_text()
+    assert parts == json.loads(text)["features"][0]["geometry"]["coordinates"]
+
+
+def test_a_single_pose_is_a_point_of_kml(truth, tmp_path):
+    root = ElementTree.parse(write_kml({"a": truth.select(np.array([2]))}, tmp_path / "f.kml", KAGARU))
+    corner = root.find(f".//{{{KML}}}Placemark/{{{KML}}}Point/{{{KML}}}coordinates").text
+    np.testing.assert_allclose(
+        list(map(float, corner.split(","))), to_geodetic(truth.positions[2:3], KAGARU)[0], atol=5.1e-4
+    )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes trajectories as GeoJSON (RFC 7946) and KML (OGC 2.3), one line a track.
 
-GeoJSON's lines are cut where they cross the antimeridian (RFC 7946, 3.1.9), between whose sides they would otherwise
-lead around the globe; KML's lead the short way.
+Lines are cut where they cross the antimeridian (RFC 7946, 3.1.9), between whose sides they would otherwise lead around
+the globe in any program that draws coordinates as they are.
 """
 
 import json
@@ -66,7 +66,7 @@ def _cut(corners: Array) -> list[Array]:
 
 
 def write_kml(tracks: Mapping[str, Trajectory], path: Path, datum: Datum) -> Path:
-    """Write a coloured LineString per track at absolute altitude, which Google Earth counts from sea level."""
+    """Write a coloured line per track at absolute altitude, which Google Earth counts from sea level."""
     ElementTree.register_namespace("", KML)
     root = ElementTree.Element(_tag("kml"))
     document = _add(root, "Document")
@@ -77,10 +77,12 @@ def write_kml(tracks: Mapping[str, Trajectory], path: Path, datum: Datum) -> Pat
         line_style = _add(_add(place, "Style"), "LineStyle")
         _add(line_style, "color", KML_COLOURS[k % len(KML_COLOURS)])
         _add(line_style, "width", "3")
-        line = _add(place, "LineString")
-        _add(line, "altitudeMode", "absolute")
-        corners = _rounded(to_geodetic(track.positions, datum))
-        _add(line, "coordinates", " ".join(",".join(map(str, corner)) for corner in corners))
+        parts = _cut(to_geodetic(track.positions, datum))
+        parent = _add(place, "MultiGeometry") if len(parts) > 1 else place
+        for part in parts:
+            line = _add(parent, "Point" if len(track) == 1 else "LineString")  # a line has two ends
+            _add(line, "altitudeMode", "absolute")
+            _add(line, "coordinates", " ".join(",".join(map(str, corner)) for corner in _rounded(part)))
     with whole(path) as partial:
         ElementTree.ElementTree(root).write(partial, encoding="utf-8", xml_declaration=True)
     return path
