@@ -139,6 +139,25 @@ def test_pictures_whose_corners_do_not_tell_the_pose_are_rejected_with_the_side(
         assert pair.reason.startswith(f"the corners found in {side} lie in one line")
 
 
+class Larger(Marked):
+    """One of which the board that is looked for is a part, in images with a dark third pixel."""
+
+    def size_in(self, image: np.ndarray) -> tuple[int, int]:
+        return (11, 7) if image[0, 2] == 1 else (9, 6)
+
+
+def test_a_board_that_is_a_part_of_the_one_in_most_pictures_is_refused() -> None:
+    larger = SEEN.copy()
+    larger[0, 2] = 1
+    with pytest.raises(
+        CalibrationError, match=r"a board of 9x6 inner corners is a part .* 6 images .* use --board 11x7"
+    ):
+        looked_at(*[(larger, SEEN_RIGHT)] * 6, *[(SEEN, SEEN_RIGHT)] * 4, board=Larger())
+    assert len(looked_at(*[(larger, SEEN_RIGHT)] * 4, *[(SEEN, SEEN_RIGHT)] * 6, board=Larger()).pairs) == 10
+    with pytest.raises(CalibrationError, match=r"3 of 3 pairs .* take more"):
+        looked_at(*[(larger, SEEN_RIGHT)] * 3, board=Larger())
+
+
 ROW, NEXT = list(range(9)), 9  # corners of the board's first row, and the first one of the second
 
 

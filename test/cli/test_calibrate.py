@@ -163,10 +163,20 @@ def test_a_damaged_recording_is_calibrated_from_up_to_the_damage(
 def test_a_wrong_board_is_told_with_the_right_one(
     chessboard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for picture in chessboard.glob("*0[0-5].png"):  # eight that show the right one suffice to name it
+    for picture in chessboard.glob("*0[0-5].png"):
         (tmp_path / picture.name).symlink_to(picture)
     line = refused(capsys, tmp_path, "--board", "9x6", "--square", "0.03")
     assert "0 of 6 pairs show the 9x6 board" in line
+    assert "use --board 8x5" in line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", ["4x3", "5x3"])
+def test_a_part_of_the_board_is_not_calibrated_by(
+    size: str, chessboard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, chessboard, "--board", size, "--square", "0.03", "--results", tmp_path)
+    assert f"a board of {size} inner corners is a part of the one seen" in line
     assert "use --board 8x5" in line
 
 

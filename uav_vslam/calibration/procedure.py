@@ -22,6 +22,7 @@ LEAST_PAIRS = 8  # so that each half has four: a plane needs three views, and on
 OUTLIER = 3.0  # times the median reprojection error of the pairs; noise alone scatters it by a few per cent
 DISAGREEMENT = 0.01  # of baselines or focal lengths, between halves or as a standard deviation, that earns a warning
 MOST_ROUNDS = 10  # of solving and telling which pairs agree
+LOOKED_AT, LEAST_ALIKE = 8, 4  # pictures with a board whose size is looked at, and how many must agree on another one
 CELLS = 8  # of an image each way, for coverage
 
 
@@ -107,12 +108,12 @@ def find_boards(
         on_pair: called after each pair.
 
     Raises:
-        CalibrationError: both pictures of a pair are the same, or too few show the board.
+        CalibrationError: both pictures of a pair are the same, too few show the board, or it is a part of theirs.
     """
     pairs: list[BoardPair] = []
     rejected: list[Rejected] = []
     useless: list[str] = []
-    other_sizes: list[tuple[int, int]] = []
+    sizes_seen: dict[bool, list[tuple[int, int]]] = {True: [], False: []}  # of boards, where it was found and was not
     size: tuple[int, int] | None = None
     for name, *both in pictures:
         images = [image for image in both if not isinstance(image, UavVslamError)]
@@ -125,7 +126,7 @@ def find_boards(
             continue
         left, right = (board.detect(image) for image in images)
         if left is None or right is None:
-            other_sizes += [found for found in map(board.size_in, images) if found is not None]
+            sizes_seen[False] += [found for found in map(board.size_in, images) if found is not None]
             rejected.append(Rejected(name, f"no board found in {_where(left is None, right is None)}"))
         elif np.array_equal(images[0], images[1]):
             raise CalibrationError(f"both pictures of pair {name} are the same; name each camera's own")
@@ -134,9 +135,16 @@ def find_boards(
             rejected.append(Rejected(name, f"the corners found in {where} lie in one line: no pose follows"))
         else:
             pairs.append(BoardPair(name, left, board.like(right, left)))
+            if len(pairs) <= LOOKED_AT and (found := board.size_in(images[0])) is not None:
+                sizes_seen[True].append(found)
         on_pair()
+    other = _other_board(board, sizes_seen[bool(pairs)], larger=bool(pairs))
+    if other and pairs:  # the detector takes a part of a board for one
+        raise CalibrationError(
+            f"a board of {board.columns}x{board.rows} inner corners is a part of the one seen; {other}"
+        )
     if size is None or len(pairs) < LEAST_PAIRS:
-        raise CalibrationError(_too_few(pairs, rejected, useless, board, other_sizes))
+        raise CalibrationError(_too_few(pairs, rejected, useless, other or board.ADVICE, board))
     return Boards(pairs, rejected, size)
 
 
@@ -261,19 +269,32 @@ def _too_few(
     pairs: Sequence[BoardPair],
     rejected: Sequence[Rejected],
     useless: Sequence[str],
+    advice: str,
     board: Board,
-    other_sizes: Sequence[tuple[int, int]],
 ) -> str:
     count = len(pairs) + len(rejected)
     size = max(board.columns, board.rows), min(board.columns, board.rows)
     text = f"{len(pairs)} of {count} pairs show the {size[0]}x{size[1]} board in both images; {LEAST_PAIRS} are needed"
-    other = [found for found in other_sizes if found != size]
     if useless:
         text = f"{text}; {len(useless)} can't be used, the first: {useless[0]}"
     if len(rejected) == len(useless):
         return f"{text}; take more pictures"
-    likely = max(set(other), key=other.count, default=size)
-    if pairs or other.count(likely) < LEAST_PAIRS:  # a few may be mistaken
-        return f"{text}; {board.ADVICE}"
-    use = f"{likely[0]}x{likely[1]}"
-    return f"{text}; {other.count(likely)} images show a board of {use} inner corners: use --board {use}"
+    return f"{text}; {advice}"
+
+
+def _other_board(board: Board, seen: Sequence[tuple[int, int]], *, larger: bool) -> str:
+    """Return which other board most images show, in words; empty if they do not.
+
+    Args:
+        board: that was looked for.
+        seen: inner corners of the boards in some images, the longer side first.
+        larger: only a board of which that one is a part.
+    """
+    size = max(board.columns, board.rows), min(board.columns, board.rows)
+    columns, rows = likely = max(set(seen), key=seen.count, default=size)
+    count = seen.count(likely)
+    if likely == size or 2 * count <= len(seen) or count < LEAST_ALIKE:  # a few may be mistaken
+        return ""
+    if larger and (columns < size[0] or rows < size[1]):
+        return ""
+    return f"{count} images show a board of {columns}x{rows} inner corners: use --board {columns}x{rows}"
