@@ -49,6 +49,19 @@ def test_a_folder_whose_writing_fails_says_so_by_its_name_and_latest_stays_on_a_
     assert {path.name for path in tmp_path.iterdir()} == {complete.name, incomplete.name, "latest"}
 
 
+@pytest.mark.parametrize("code", [errno.EPERM, errno.EOPNOTSUPP])
+def test_results_on_a_file_system_without_links_are_complete(flight, tmp_path, monkeypatch, code):
+    """As on FAT and some network shares, which a test can't mount."""
+
+    def refuse(*_, **__):
+        raise OSError(code, "no links here")
+
+    monkeypatch.setattr("os.symlink", refuse)
+    folder = write_results(flight, tmp_path)
+    assert (folder / "summary.json").exists()
+    assert list(tmp_path.iterdir()) == [folder]
+
+
 def test_a_real_folder_named_latest_is_not_touched(flight, tmp_path):
     (tmp_path / "latest").mkdir()
     with pytest.raises(UavVslamError, match="symbolic link"):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The results folder: `results/<date>_<name>/`, and the link `results/latest` to the newest complete one."""
 
+import errno
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ StudyPlotter = Callable[[dict[str, Any], Path], list[Path]]
 FolderPlotter = Callable[[Path], Path]
 
 LATEST = "latest"
+NO_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS)  # of FAT, of a network, of FUSE
 ALL_TRACKS = ("truth", *TRACKS)
 WITH_COVARIANCE = ("s_slam", "c_slam", "smoothed")  # for NEES, which TUM has no place for
 
@@ -102,14 +104,19 @@ def latest_link(root: Path) -> Path:
 
 @contextmanager
 def new_folder(root: Path, name: str) -> Iterator[Path]:
-    """Yield a new dated folder; once it is filled, `latest` is linked to it."""
+    """Yield a new dated folder; once it is filled, `latest` is linked to it, where the file system has links."""
     latest = latest_link(root)
     with _dated_folder(root, name) as folder:
         yield folder
     # Only renaming another link over it replaces a link atomically.
     fresh = root / f".{LATEST}_{os.getpid()}"
     fresh.unlink(missing_ok=True)
-    fresh.symlink_to(folder.name)
+    try:
+        fresh.symlink_to(folder.name)
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        return
     fresh.replace(latest)
 
 
