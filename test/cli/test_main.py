@@ -2,6 +2,9 @@
 """The command finds its verbs, imports no more than it needs, and turns errors into one line and an exit code."""
 
 import argparse
+import contextlib
+import os
+import signal
 import subprocess
 import sys
 import types
@@ -60,6 +63,20 @@ def test_an_interrupt_is_exit_code_130(install: Install) -> None:
 
     install(interrupt)
     assert command.main(["bench"]) == 130
+
+
+def test_an_interrupt_that_a_library_swallows_is_exit_code_130(install: Install) -> None:
+    """As one does that takes any failure of an optional import for its absence, and stumbles over that later."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def swallow(_: argparse.Namespace) -> int:
+        with contextlib.suppress(BaseException):
+            os.kill(os.getpid(), signal.SIGINT)
+        raise TypeError("unsupported operand")
+
+    install(swallow)
+    assert command.main(["bench"]) == 130
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_bug_keeps_its_traceback(install: Install) -> None:

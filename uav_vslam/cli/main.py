@@ -10,9 +10,11 @@ import importlib
 import io
 import keyword
 import os
+import signal
 import sys
-from collections.abc import Sequence
-from types import ModuleType
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType, ModuleType
 from typing import Any
 
 from uav_vslam import __version__
@@ -62,6 +64,36 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal without a character still shows the rest of the table
     arguments = list(sys.argv[1:] if argv is None else argv)
+    with _noting_interrupts() as interrupts:
+        try:
+            return _run(arguments)
+        except Exception:
+            if not interrupts:
+                raise
+            return INTERRUPTED
+
+
+@contextmanager
+def _noting_interrupts() -> Iterator[list[int]]:
+    """Note Ctrl-C, which some libraries take for a missing optional part while they are imported, and fail later."""
+    noted: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        noted.append(number)
+        signal.default_int_handler(number, frame)
+
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # ignored, as in the background of a script
+        yield noted
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a verb and return its exit code."""
     try:
         args, unknown = build_parser(arguments).parse_known_args(arguments)
         if unknown:  # argparse itself would show how to name a verb, not the verb's options
