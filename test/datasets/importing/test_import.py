@@ -89,6 +89,17 @@ def test_thousands_of_equal_problems_are_counted_not_printed(tmp_path: Path) -> 
     assert problems.lines[999] == f"{tmp_path / 'log'}:1000: broken"
 
 
+def test_the_zeros_that_a_loss_of_power_leaves_are_not_printed(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes(b"10,1\n20,2\n30," + bytes(4096))
+    problems = Problems()
+    assert read_table(path, 1, problems).stamps_ns.tolist() == [10, 20]
+    (line,) = problems.lines
+    assert line.startswith(f"{path}:3: ")
+    assert line.isprintable()
+    assert len(line) < 320 + len(str(path))
+
+
 def test_rows_out_of_order_are_sorted_in_and_told(tmp_path: Path) -> None:
     path = tmp_path / "data.csv"
     path.write_text("30,3\n10,1\n20,2\n20,9\n40,4\n")

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an import leaves out or repairs: nothing is lost silently, and thousands of equal messages are counted."""
 
+import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+# A loss of power leaves zeros at the end of a file, in thousands and on one line.
+CONTROL, SHOWN_ENDS = re.compile(r"[\x00-\x1f\x7f]+"), 150
 SHOWN = 5  # of each kind at once; the others are counted
 
 
@@ -41,7 +44,10 @@ class Problems:
         """
         counts = self.counts if left_out else self.repaired
         place = f"{path}:{line}" if line else str(path)
-        self.lines.append(f"{place}: {text}")
+        shown = CONTROL.sub("…", text)
+        if len(shown) > 2 * SHOWN_ENDS:
+            shown = f"{shown[:SHOWN_ENDS]}…{shown[-SHOWN_ENDS:]}"
+        self.lines.append(f"{place}: {shown}")
         counts[kind] += 1
         if counts[kind] <= SHOWN:
             self.report(self.lines[-1])
