@@ -83,6 +83,15 @@ def test_a_folder_of_bags_is_refused_with_their_names(tiny_bag: Path) -> None:
         topics_of([tiny_bag.parent])
 
 
+def test_an_unfinished_bag_of_ros_1_is_told_how_to_repair(tmp_path: Path) -> None:
+    (tmp_path / "flight.bag.active").write_bytes(b"#ROSBAG V2.0\n")
+    for path in (tmp_path, tmp_path / "flight.bag.active"):
+        with pytest.raises(
+            BagError, match=r"flight\.bag\.active was not completed: `rosbag reindex`.* call it flight\.bag"
+        ):
+            topics_of([path])
+
+
 def read_to_the_damage(path: Path) -> tuple[list[RawMessage], str]:
     read: list[RawMessage] = []
     try:

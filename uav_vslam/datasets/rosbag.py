@@ -25,6 +25,7 @@ from uav_vslam.errors import BagError, one_line
 Item = TypeVar("Item")
 
 STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
+UNFINISHED = f"{ros1_bag.SUFFIX}.active"  # how a recorder of ROS 1 calls a bag before its end
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 URI = re.compile(r"[#?]|%[0-9a-fA-F]{2}")  # what SQLite, which rosbags gives a URI, takes for more than a name
 FOREIGN_REMEDY = "give one with the profile ros2 and all messages in CDR, as `ros2 bag record -s mcap` writes it"
@@ -128,6 +129,12 @@ def names_of(paths: Sequence[Path]) -> str:
 
 def _hint(path: Path) -> str:
     """Return what to do with a path that is no bag, if that is plain."""
+    unfinished = sorted(path.glob(f"*{UNFINISHED}")) if path.is_dir() else [path] * path.name.endswith(UNFINISHED)
+    if unfinished:
+        whole = unfinished[0].with_suffix("")
+        return (
+            f"; {unfinished[0].name} was not completed: `rosbag reindex` of ROS 1 repairs it, then call it {whole.name}"
+        )
     if any((path / name).is_dir() for name in DATA_SETS):
         return "; import it: uav-vslam import --help"
     if path.is_dir() and any(file.suffix.lower() in PICTURES for file in path.iterdir()):
