@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags are read in stamp order, up to the damage if they are damaged, and what is no bag is refused."""
 
+import contextlib
 import shutil
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -81,6 +83,45 @@ def test_a_missing_file_of_a_split_recording_is_named_with_what_reads_the_others
 def test_a_folder_of_bags_is_refused_with_their_names(tiny_bag: Path) -> None:
     with pytest.raises(BagError, match=rf"given together: .*{tiny_bag}"):
         topics_of([tiny_bag.parent])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_sqlite_bag_whose_recorder_was_killed_is_told_how_to_complete(
+    share: float, tiny_bag: Path, tmp_path: Path
+) -> None:
+    """`ros2 bag record --storage-preset-profile resilient` writes ahead into a log."""
+    messages = list(iter_raw([tiny_bag]))
+    with RawRecorder(tmp_path / "whole", storage="sqlite3") as recorder:
+        for raw in messages:
+            recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)
+    (tmp_path / "killed").mkdir()
+    file = tmp_path / "killed" / "killed.db3"
+    with contextlib.closing(sqlite3.connect(tmp_path / "live.db3")) as live:
+        live.execute("PRAGMA journal_mode = WAL")
+        live.execute("PRAGMA wal_autocheckpoint = 0")
+        live.execute("ATTACH ? AS whole", (str(tmp_path / "whole" / "whole.db3"),))
+        for name, definition in live.execute(
+            "SELECT name, sql FROM whole.sqlite_master WHERE type = 'table'"
+        ).fetchall():
+            live.execute(definition)
+            if name != "messages":
+                live.execute(f"INSERT INTO main.{name} SELECT * FROM whole.{name}")
+        half = int(share * len(messages))
+        live.execute("INSERT INTO main.messages SELECT * FROM whole.messages ORDER BY timestamp, id LIMIT ?", (half,))
+        live.commit()
+        if half:
+            live.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        live.execute("INSERT INTO main.messages SELECT * FROM whole.messages WHERE id NOT IN (SELECT id FROM messages)")
+        live.commit()
+        for end in ("", "-wal"):  # as the killed recorder leaves them
+            shutil.copy(tmp_path / f"live.db3{end}", f"{file}{end}")
+    read: list[RawMessage] = []
+    with pytest.raises(BagError, match=rf"messages are in .*killed\.db3-wal.*sqlite3 {file} 'PRAGMA wal_checkpoint"):
+        read.extend(iter_raw([file.parent]))
+    assert len(read) == half
+    with contextlib.closing(sqlite3.connect(file)) as completed:
+        completed.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    assert sorted(raw.data for raw in iter_raw([file.parent])) == sorted(raw.data for raw in messages)
 
 
 def test_an_unfinished_bag_of_ros_1_is_told_how_to_repair(tmp_path: Path) -> None:

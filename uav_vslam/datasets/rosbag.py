@@ -29,6 +29,7 @@ UNFINISHED = f"{ros1_bag.SUFFIX}.active"  # how a recorder of ROS 1 calls a bag 
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 URI = re.compile(r"[#?]|%[0-9a-fA-F]{2}")  # what SQLite, which rosbags gives a URI, takes for more than a name
 FOREIGN_REMEDY = "give one with the profile ros2 and all messages in CDR, as `ros2 bag record -s mcap` writes it"
+MERGE = "`sqlite3 %s 'PRAGMA wal_checkpoint(TRUNCATE)'` moves them into it"
 DATA_SETS = ("mav0", "cam0", "image_0")  # folders inside of EuRoC's and KITTI's
 
 
@@ -211,6 +212,8 @@ def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
     remedy = "record it again or use the readable part"
     if last_ns is None and file.suffix == ros1_bag.SUFFIX:  # the index is at the end of such a file
         remedy = "restore its index by `rosbag reindex` of ROS 1, or record it again"
+    if log := _write_ahead_log(file):
+        remedy = f"its messages are in {log.name}: {MERGE % file}"
     if last_ns is None and file.is_dir():
         remedy = "record it again, or correct its metadata.yaml or remove it: the files that are there are then read"
     return BagError(f"bag {given_as(file)} is damaged: {reached} ({one_line(error)}); {remedy}")
@@ -229,6 +232,17 @@ def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterat
                 f"bag {given_as(file)} is damaged: {len(damage)} of its chunks can't be read and were left out, the "
                 f"first {damage[0]}; record it again or use the readable part"
             )
+        for storage in reader.storages:
+            if log := _write_ahead_log(storage.path):
+                raise BagError(
+                    f"bag {given_as(file)} is not whole: its last messages are in {log}; {MERGE % storage.path}"
+                )
+
+
+def _write_ahead_log(file: Path) -> Path | None:
+    """Return the log of a sqlite3 file that holds what its recorder, killed, did not move into it; None without one."""
+    log = file.with_name(f"{file.name}-wal")
+    return log if file.suffix == ".db3" and log.exists() and log.stat().st_size > 0 else None
 
 
 def _full_name(topic: str) -> str:
