@@ -8,8 +8,9 @@ import signal
 import subprocess
 import sys
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from uav_vslam.cli import main as command
 from uav_vslam.errors import BagError
 
 Install = Callable[[Callable[[argparse.Namespace], int]], None]
+Handlers = dict[int, Any]
 
 
 @pytest.fixture
@@ -33,6 +35,15 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Install:
         monkeypatch.setitem(sys.modules, "uav_vslam.cli.bench", module)
 
     return replace
+
+
+@pytest.fixture
+def handlers() -> Iterator[Handlers]:
+    """Return the handlers of signals, and set them again afterwards: the command leaves them to a process that ends."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield before
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def test_the_verbs_exit_code_is_the_commands(install: Install) -> None:
@@ -65,18 +76,57 @@ def test_an_interrupt_is_exit_code_130(install: Install) -> None:
     assert command.main(["bench"]) == 130
 
 
-def test_an_interrupt_that_a_library_swallows_is_exit_code_130(install: Install) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_a_library_swallows_gives_its_exit_code(
+    install: Install, handlers: Handlers, number: int
+) -> None:
     """As one does that takes any failure of an optional import for its absence, and stumbles over that later."""
-    before = signal.getsignal(signal.SIGINT)
+    assert signal.getsignal(number) == handlers[number]
 
     def swallow(_: argparse.Namespace) -> int:
         with contextlib.suppress(BaseException):
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
         raise TypeError("unsupported operand")
 
     install(swallow)
-    assert command.main(["bench"]) == 130
-    assert signal.getsignal(signal.SIGINT) is before
+    assert command.main(["bench"]) == 128 + number
+    assert signal.getsignal(number) == signal.SIG_IGN  # a second one lets the process end
+
+
+def test_handlers_of_signals_are_as_before_without_one(install: Install, handlers: Handlers) -> None:
+    install(lambda _: 0)
+    assert command.main(["bench"]) == 0
+    assert {number: signal.getsignal(number) for number in handlers} == handlers
+
+
+WRITER = """
+import sys, time, types
+from pathlib import Path
+from uav_vslam.cli import main as command
+from uav_vslam.evaluation.output import new_folder
+
+def write(_):
+    with new_folder(Path(sys.argv[1]), "slow"):
+        print("writing", flush=True)
+        time.sleep(600.0)
+
+module = types.ModuleType("uav_vslam.cli.bench")
+module.HELP, module.add_arguments, module.run = "", lambda parser: None, write
+sys.modules[module.__name__] = module
+sys.exit(command.main(["bench"]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_is_half_done_is_called_incomplete_after_a_signal(tmp_path: Path, number: int) -> None:
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "writing\n"
+        for _ in range(2):  # as `timeout` does
+            process.send_signal(number)
+        assert process.wait(timeout=60) == 128 + number
+    (left,) = tmp_path.iterdir()
+    assert left.name.endswith("_slow.incomplete")
 
 
 def test_a_bug_keeps_its_traceback(install: Install) -> None:

@@ -12,6 +12,7 @@ import keyword
 import os
 import signal
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType, ModuleType
@@ -53,9 +54,11 @@ EXAMPLES = """examples:
 Options are given once, but for those whose help says that they may be repeated.
 
 exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (the readable part of a damaged recording is used
-first), 130 interrupted, 141 the reader of the output closed the pipe
+first), 130 interrupted, 143 terminated, 141 the reader of the output closed the pipe
 """
-FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
+FAILURE, WRONG_INPUT, SIGNALLED, BROKEN_PIPE = 1, 2, 128, 141
+USUAL = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}  # handlers
+CLEARING_UP_S = 1.0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -64,32 +67,42 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal without a character still shows the rest of the table
     arguments = list(sys.argv[1:] if argv is None else argv)
-    with _noting_interrupts() as interrupts:
+    with _noting_signals() as noted:
         try:
             return _run(arguments)
+        except KeyboardInterrupt:
+            pass
         except Exception:
-            if not interrupts:
+            if not noted:
                 raise
-            return INTERRUPTED
+    return SIGNALLED + (noted[-1] if noted else signal.SIGINT)
 
 
 @contextmanager
-def _noting_interrupts() -> Iterator[list[int]]:
-    """Note Ctrl-C, which some libraries take for a missing optional part while they are imported, and fail later."""
+def _noting_signals() -> Iterator[list[int]]:
+    """Let SIGTERM interrupt as Ctrl-C does, so that what is half done is cleared up, and note both.
+
+    Some libraries take an interrupt for a missing optional part while they are imported, and fail later. A second one
+    that comes at once, as `timeout` sends it, interrupts neither the clearing up nor the end of the process.
+    """
     noted: list[int] = []
+    cleared_s = 0.0
 
-    def note(number: int, frame: FrameType | None) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal cleared_s
         noted.append(number)
-        signal.default_int_handler(number, frame)
+        if time.monotonic() >= cleared_s:
+            cleared_s = time.monotonic() + CLEARING_UP_S
+            raise KeyboardInterrupt
 
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # ignored, as in the background of a script
-        yield noted
-        return
-    signal.signal(signal.SIGINT, note)
+    taken = {number: usual for number, usual in USUAL.items() if signal.getsignal(number) == usual}
+    for number in taken:  # ignored ones, as Ctrl-C in the background of a script, are left alone
+        signal.signal(number, interrupt)
     try:
         yield noted
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, usual in taken.items():
+            signal.signal(number, signal.SIG_IGN if noted else usual)
 
 
 def _run(arguments: list[str]) -> int:
@@ -102,8 +115,6 @@ def _run(arguments: list[str]) -> int:
     except UavVslamError as error:
         print(f"uav-vslam: {error}", file=sys.stderr)
         return FAILURE if isinstance(error, WorkerEnded) else WRONG_INPUT
-    except KeyboardInterrupt:
-        return INTERRUPTED
     except BrokenPipeError:  # the reader closed the pipe; Python would raise again while it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
