@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.inbox import KEPT_PER_PEER
+from uav_vslam.cooperation.inbox import KEPT_PER_PEER, Inbox
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.fleet import Air, LinkTransport, Sent
 from uav_vslam.slam.packet import PacketPolicy, make_packet, payload_bytes
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
@@ -205,6 +206,49 @@ def test_a_vehicle_without_epochs_relays_what_its_budget_earns(
     assert 50 <= relayed <= 60
     assert vehicle.exchange.outbox.bytes_sent <= size * (60 + 1)
     assert vehicle.exchange.outbox.sent_bytes_per_s == pytest.approx(size, rel=0.2)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_while_the_own_back_end_is_silent_a_peer_is_relayed_and_found_when_it_goes_on(
+    make_joint: Callable[..., JointInformation], make_small_packet: Maker, reset: bool
+) -> None:
+    """The peer's process starts again in between; its new session is taken, and nothing seems to be ahead."""
+    vehicle, joint = Exchanging(dataclasses.replace(RELAY, budget_bytes_per_s=10_000)), make_joint
+    for second in range(100, 160):
+        vehicle.air.now_ns = second * NS_PER_S
+        if second < 103 or second >= 150:
+            session = 1 + (reset and second >= 150)
+            if reset and second == 150:
+                vehicle.fusion.restart()
+                vehicle.exchange.restart()
+            vehicle.epoch(joint([[1.0, 2.0, 0.0]], np.eye(9), session=session, stamp_ns=second * NS_PER_S))
+            newest = vehicle.fusion.inbox.newest("uav2", second * NS_PER_S) if second > 100 else None
+            assert newest is None or newest.stamp_ns == (second - 1) * NS_PER_S
+        if not 120 <= second < 130:
+            vehicle.comes("uav2", make_small_packet(second, session=1 + (second >= 130)))
+    relayed = [packet.session for _, packet in vehicle.listeners["uav3"].received if packet.vehicle == "uav2"]
+    assert relayed == [1] * 20 + [2] * 30
+    inbox = vehicle.fusion.inbox
+    assert not vehicle.exchange.dropped
+    assert inbox.peers["uav2"].ahead_ns == 0
+    assert inbox.silent_s("uav2") == 0.0
+
+
+def test_a_second_session_takes_over_neither_while_own_epochs_pause_nor_when_they_go_on(
+    make_small_packet: Maker,
+) -> None:
+    inbox, reasons = Inbox("uav1"), set()
+    own_s = [*range(100, 103), *[None] * 8, *range(103, 110)]  # it works off what has waited
+    for second, own in enumerate(own_s, start=100):
+        if own is not None:
+            inbox.advance(own * NS_PER_S, session=1)
+        inbox.go_on(second * NS_PER_S)
+        if second > 100:
+            with pytest.raises(InvalidMessage) as refused:
+                inbox.add(make_small_packet(second, session=2))
+            reasons.add(refused.value.reason)
+        inbox.add(make_small_packet(second))
+    assert reasons == {"other_session"}
 
 
 @pytest.mark.parametrize("reset", [False, True])

@@ -126,6 +126,7 @@ class Exchange:
             self.received_bytes[sender] += size_bytes
         try:
             self._check_packet(sender, packet)
+            self._fusion.inbox.go_on(self._transport.now_ns)
             self._fusion.inbox.add(packet)
         except InvalidMessage as error:
             relayed = packet.vehicle != sender or sender == self._fusion.vehicle
@@ -144,6 +145,7 @@ class Exchange:
             if packet.vehicle not in self._peers:
                 raise InvalidMessage("sender", f"{packet.vehicle!r} is no peer")
             self.received_bytes[packet.vehicle] += size_bytes
+            self._fusion.returned.go_on(self._transport.now_ns)
             self._fusion.returned.add(packet)
         except InvalidMessage as error:
             self._drop(error.reason, f"feedback: {error}")

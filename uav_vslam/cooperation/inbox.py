@@ -25,6 +25,7 @@ MOST_AHEAD = 16  # further ones of a peer that is ahead: with fewer, none would 
 RECENTLY_USED = 1000  # packets whose number is remembered, of a quarter of an hour
 MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that replays are deterministic
 MAX_PEERS = 64  # forged names must not fill the memory
+NO_EPOCHS_S = 5.0  # own epochs have stopped; in a replay a busy computer may take seconds for one
 NAMESAKE_S = 10.0  # one that is silent for so long has gone
 
 # Why a packet that was kept is dropped in the end.
@@ -130,7 +131,7 @@ class Inbox:
     Attributes:
         peers: records by name, of vehicles that sent a valid packet.
         refused: counts of packets of all others, by reason.
-        now_ns: stamp of the last own epoch, 0 before the first [ns].
+        now_ns: own time: the stamp of the last own epoch, later once they have stopped, 0 before the first [ns].
         namesakes: other sessions of this vehicle's own name that go on, with the own time of the last packet of each.
         key_faults: what is wrong with the keys of a vehicle whose last packet was not verified.
     """
@@ -141,17 +142,35 @@ class Inbox:
         self.peers: dict[str, PeerRecord] = {}
         self.refused: Counter[str] = Counter()
         self.now_ns = 0
+        self._epoch_ns = 0
+        self._clock_ns: int | None = None  # a clock that goes on without epochs, at the first packet after the last one
         self.namesakes: dict[int, int] = {}
         self.key_faults: dict[str, str] = {}
         self._own: tuple[int, int] | None = None  # own session, and stamp of its first epoch
 
     def advance(self, now_ns: int, session: int) -> None:
         """Set the time and the own session: those of the epoch that is to be fused."""
-        self.now_ns = now_ns
+        if self._epoch_ns <= now_ns < self.now_ns:  # the epochs go on behind the clock: it has not been set back
+            for sessions in (record.sessions for record in self.peers.values()):
+                if sessions is not None:
+                    sessions.received_ns = min(sessions.received_ns, now_ns)
+        self.now_ns = self._epoch_ns = now_ns
+        self._clock_ns = None
         if self._own is None or self._own[0] != session:
             self._own = session, now_ns
         kept_ns = NAMESAKE_S * NS_PER_S
         self.namesakes = {k: at_ns for k, at_ns in self.namesakes.items() if 0 <= now_ns - at_ns <= kept_ns}
+
+    def go_on(self, clock_ns: int) -> None:
+        """Let the own time go on where own epochs have stopped, or peers would seem to be ahead; to be called often.
+
+        Args:
+            clock_ns: a clock that goes on without epochs, from any origin.
+        """
+        self._clock_ns = clock_ns if self._clock_ns is None else self._clock_ns
+        waited_ns = clock_ns - self._clock_ns - round(NO_EPOCHS_S * NS_PER_S)
+        if self._epoch_ns:
+            self.now_ns = self._epoch_ns + max(waited_ns, 0)
 
     def add(self, packet: LandmarkPacket) -> None:
         """Store a packet, or count why it was refused.

@@ -12,12 +12,12 @@ from collections.abc import Callable
 
 from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.cooperation.budget import ByteBudget
+from uav_vslam.cooperation.inbox import NO_EPOCHS_S
 from uav_vslam.slam.packet import NARROWBAND_PACKET_BYTES
 from uav_vslam.types import NS_PER_S
 
 SILENT_EPOCHS = 4  # narrowband: after so many epochs without a peer, only one epoch in so many sends a packet
 SAVED_EPOCHS = 2.0  # limit of the unspent budget: epoch lengths vary by a frame, and narrowband saves for a packet
-NO_EPOCHS_S = 5.0  # own epochs have stopped; in a replay a busy computer may take seconds for one
 WORTH_EPOCHS = 1.25  # budget that a narrowband packet waits for: a fifth of a small packet is overhead
 
 

@@ -3,8 +3,9 @@
 
 A vehicle that starts again has a larger session number, and is silent for seconds in between, so it waits little. A
 forged number, or a second vehicle of the same name, finds the first one still sending, and is not fused. Time is that
-of the own epochs, which nobody else can set. When it has been set back, as that of a whole fleet is by a recording that
-begins again, earlier packets are no evidence: as at the start, the session received first counts at once.
+of the own epochs, and once these have stopped, of the own computer: nobody else can set it. When it has been set back,
+as that of a whole fleet is by a recording that begins again, earlier packets are no evidence: as at the start, the
+session received first counts at once.
 
 Vehicles need no common time: the clock of a computer without a network may be off by hours. A session whose stamps are
 far ahead from the start on, or after a silence, comes from such a clock, and its packets are used as they arrive.
