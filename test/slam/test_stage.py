@@ -44,17 +44,20 @@ def stamps(outputs: list[FrameOutput]) -> list[int]:
 
 
 @pytest.mark.parametrize("missing", ["rig", "start", "both"])
-def test_frames_that_no_longer_wait_are_counted_by_what_they_waited_for(flown, missing: str) -> None:
+def test_frames_and_motion_that_no_longer_wait_are_counted_by_what_they_waited_for(flown, missing: str) -> None:
     flight, later = flown(1), 7
     stage = make(flight, rig=missing == "start")
     if missing == "rig":
         stage.start(flight.vehicle.initial)
-    features = flight.frames[1][0]
+    features, increment = flight.frames[1]
     for number in range(MAX_WAITING + later):
-        stage.add_features(dataclasses.replace(features, stamp_ns=features.stamp_ns + 50_000_000 * number))
+        by_ns = 50_000_000 * number
+        stage.add_features(dataclasses.replace(features, stamp_ns=features.stamp_ns + by_ns))
+        ends = {"start_ns": increment.start_ns + by_ns, "stamp_ns": increment.stamp_ns + by_ns}
+        stage.add_increment(dataclasses.replace(increment, **ends))
         assert list(stage.run()) == []
     reason = "before_start" if missing == "start" else "before_rig"
-    assert stage.dropped == {**dict.fromkeys(stage.dropped, 0), reason: later}
+    assert stage.dropped == {**dict.fromkeys(stage.dropped, 0), reason: later, f"motion_{reason}": later}
 
 
 def test_frames_wait_for_the_rig_and_the_start_state(flown) -> None:

@@ -19,6 +19,7 @@ class FrameQueue:
         before_rig: frames dropped because too many waited for the calibration.
         lost: images whose features did not arrive in time; replaced by an empty frame.
         without_motion: frames dropped because they are inside an increment, or because they are repeated.
+        motion_before_start, motion_before_rig: increments dropped because too many waited for start or calibration.
         motion_refused: increments dropped because they begin before the stamp reached.
         unpaired: recent frames dropped because no increment ends at their stamp; each paired one offsets two.
         apart_ns: of the last of those, its stamp minus that of the nearest end of an increment [ns].
@@ -30,6 +31,8 @@ class FrameQueue:
         self.before_rig = 0
         self.lost = 0
         self.without_motion = 0
+        self.motion_before_start = 0
+        self.motion_before_rig = 0
         self.motion_refused = 0
         self.unpaired = 0
         self.apart_ns = 0
@@ -45,8 +48,11 @@ class FrameQueue:
         self._features.append(features)
         self._ahead = 0
 
-    def add_increment(self, increment: ImuIncrement) -> None:
-        """Add the motion between two images."""
+    def add_increment(self, increment: ImuIncrement, *, has_rig: bool = True) -> None:
+        """Add the motion between two images; without the calibration none is taken from the queue."""
+        if len(self._increments) == MAX_WAITING:  # only while nothing is taken
+            self.motion_before_rig += not has_rig
+            self.motion_before_start += has_rig
         self._increments.append(increment)
         self._ahead += 1
 

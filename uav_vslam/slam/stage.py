@@ -96,6 +96,8 @@ class SlamStage:
             "frame_lost": self._queue.lost,
             "without_motion": self._queue.without_motion,
             "motion_lost": self._flight.motion_lost if self._flight is not None else 0,
+            "motion_before_start": self._queue.motion_before_start,
+            "motion_before_rig": self._queue.motion_before_rig,
             "motion_refused": self._queue.motion_refused,
             "start_too_old": self._start_unreachable,
         }
@@ -211,7 +213,7 @@ class SlamStage:
         """Add the motion between two images."""
         if self._in_flight and self._queue.start_ns is None:
             self._queue.start_ns = increment.start_ns
-        self._queue.add_increment(increment)
+        self._queue.add_increment(increment, has_rig=self.rig is not None)
 
     def run(self) -> Iterator[FrameOutput]:
         """Process every frame whose features and increment have both arrived."""
