@@ -61,6 +61,8 @@ def test_an_offset_that_is_found_after_a_recovery_is_used_from_the_start_on(
     (at,) = (k for k, output in enumerate(outputs) if output.report.recovery == AGAIN.format(CLOCK))
     assert len(outputs[at].earlier) == at
     assert not any(output.report.coasted or output.report.recovery for output in outputs[at + 1 :])
+    told = [text for output in outputs for text in output.warnings if "by the IMU's clock" in text]
+    assert len(told) == 1
     errors, nees = flight.errors_and_nees(outputs[at:])
     assert errors[-1] < 1.5
     assert nees.mean() < 1.5

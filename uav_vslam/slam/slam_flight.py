@@ -109,9 +109,8 @@ class SlamFlight:
     @property
     def is_timing_confirmed(self) -> bool:
         """Whether readout and clock of the cameras have been measured, and are about as the flight has begun with."""
-        if self._shutter.watching or self._clock is None or not self._clock.is_known:
-            return False
-        return abs(self.backend.time_offset_s - self._begun_offset_s) < WARNED_S
+        is_known = not self._shutter.watching and self._clock is not None and self._clock.is_known
+        return is_known and self._is_about_begun_offset(self.backend)
 
     @property
     def contradicting_timing(self) -> Timing | None:
@@ -126,6 +125,9 @@ class SlamFlight:
         if self._late_offset_s is not None:
             return dataclasses.replace(self.timing, time_offset_s=self._late_offset_s)
         return None
+
+    def _is_about_begun_offset(self, backend: SlamBackend) -> bool:
+        return abs(backend.time_offset_s - self._begun_offset_s) < WARNED_S
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
@@ -142,6 +144,8 @@ class SlamFlight:
         backend, report, of_clock = self._clock.check(backend, features, increment, report, self._config)
         if of_clock and self._was_recovered:
             self._late_offset_s = backend.time_offset_s
+        if self._begun_offset_s and self._is_about_begun_offset(backend):
+            of_clock = ""  # the flight before has told it
         if backend is not self.backend:  # earlier ones are linearised about another offset
             self._bias_steps = BiasStepMonitor()
         if not backend.imu_fault:
