@@ -25,6 +25,7 @@ FEWEST_PAIRS = 10
 KNOWN_S = 2e-4  # standard deviation of a readout that is judged
 WARNED_S = 5e-4  # least error that is warned of: it moves the points of the outer rows by a tenth of a pixel
 WARNED_SIGMAS = 6.0
+COARSE_S, COARSE_SIGMAS = 5e-3, 10.0  # least error that is judged before it is known
 ROUNDS = 3  # of least squares, each without the outliers of the one before
 OUTLIER = 3.0  # times the median residual
 LEAST_PX = 0.01  # noise of tracked points
@@ -106,9 +107,12 @@ class ShutterMonitor:
             found = _readout(here, there, rig)
             if found is not None:
                 self._found.add(*found)
-        if self._found.count < FEWEST_PAIRS or self._found.sigma > KNOWN_S:
+        if self._found.count < FEWEST_PAIRS:
             return ""
         readout_s, sigma_s = self._found.mean, self._found.sigma
+        is_far = abs(readout_s - self._configured_s) > max(COARSE_S, COARSE_SIGMAS * sigma_s)
+        if sigma_s > KNOWN_S and not is_far:
+            return ""
         self.watching, self._before = False, None
         if abs(readout_s - self._configured_s) < max(WARNED_S, WARNED_SIGMAS * sigma_s):
             return ""
