@@ -212,6 +212,7 @@ def test_the_smoothed_flight_uses_the_same_points(flown) -> None:
     assert mean_error(flight, measured.smoothed) < 1.1 * mean_error(flight, track.smoothed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "readout_s", "late_s"), [(1, 0.02, -0.02), (2, 0.018, -0.015)])
 def test_a_readout_is_found_beside_an_offset_of_the_clock(flown, seed: int, readout_s: float, late_s: float) -> None:
     """With both the filter is lost before ten frames, and its velocities scatter what pairs of frames show of one."""
