@@ -5,6 +5,7 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ import tifffile
 from geotiff import place
 
 from uav_vslam.cli.main import main
+from uav_vslam.cli.map import write_map
 from uav_vslam.cli.map_picture import default_pixel_m
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
@@ -120,6 +122,26 @@ def test_a_large_picture_has_larger_pixels_and_that_is_told(
 def flown_only(result: Path, folder: Path) -> Path:
     """Return a copy of the flight, without its map."""
     return Path(shutil.copytree(result, folder / "result", ignore=shutil.ignore_patterns("map", "before")))
+
+
+def test_a_map_goes_to_the_flight_that_latest_named_at_the_start(
+    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another run that ends meanwhile moves `results/latest`."""
+    flight, latest, other = flown_only(result, tmp_path), tmp_path / "latest", tmp_path / "other"
+    latest.symlink_to(flight.name)
+    other.mkdir()
+
+    def moved(*args: Any) -> int:
+        latest.unlink()
+        latest.symlink_to(other.name)
+        return write_map(*args)
+
+    monkeypatch.setattr("uav_vslam.cli.map.write_map", moved)
+    assert main(["map", str(latest), "--cell", "2"]) == 0
+    assert (flight / "map/map.json").is_file()
+    assert (flight / "report.html").is_file()
+    assert not list(other.iterdir())
 
 
 def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(

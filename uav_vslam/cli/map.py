@@ -91,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
         folder, code = flown(args)
     elif len(args.inputs) > 1:
         raise UavVslamError(f"{folder} is a results folder, so no other input goes with it; map one at a time")
+    else:
+        folder = folder.resolve()  # results/latest may lead elsewhere before the map is done
     if (folder / FOLDER).exists():
         raise UavVslamError(f"{folder / FOLDER} exists already; move it away to map this flight again")
     flights = mapped_flights(folder, args.bags, args.vehicles)
