@@ -3,6 +3,7 @@
 
 import dataclasses
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.saved_map import save_map
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.types import ImuSample, StereoFeatures
 
@@ -75,6 +77,22 @@ def test_a_smoothed_flight_is_nearer_to_the_truth_and_leaves_the_filter_alone(
     causal, smoothed = (error_scores(found, result.truth) for found in (result.s_slam, result.smoothed))
     key = relative_key(14.0, "height_m")
     assert smoothed[key] < 0.5 * causal[key]
+
+
+def test_a_vehicle_that_fuses_a_map_alone_has_no_traffic(source: SimulatedSource, tmp_path: Path) -> None:
+    settings = {source.vehicle: config(source, StartConfig())}
+    tracks, _ = fly([source], settings, keep_maps=True)
+    saved = tracks[source.vehicle].saved_map
+    assert saved is not None
+    save_map(saved, tmp_path / "map.npz")
+    settings = {source.vehicle: config(source, StartConfig(map=str(tmp_path / "map.npz")))}
+    tracks, fleet = fly([source], settings)
+    flown = flight_result("x", tracks, fleet, {source.vehicle: None}, settings)
+    result = flown.vehicles[source.vehicle]
+    assert flown.mode == "none"
+    assert result.c_slam is not None
+    assert result.link.packets_sent == 0
+    assert result.epochs == ()
 
 
 def test_a_failed_in_flight_initialisation_says_why(source: SimulatedSource) -> None:

@@ -4,6 +4,7 @@ import io
 
 from rich.console import Console
 
+from uav_vslam.evaluation.result import LinkCounters
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.report.table import link_line, print_summary
 from uav_vslam.types import FrameQuality
@@ -38,8 +39,15 @@ def test_a_single_vehicle_has_neither_peer_nor_pool(single):
     assert "uav1: 198 m, 100 of 101 frames; no peer" in text
 
 
+def test_a_vehicle_that_fuses_a_map_alone_has_no_peer(pair):
+    alone = dataclasses.replace(pair.vehicles["uav1"], link=LinkCounters())
+    text = printed(dataclasses.replace(pair, mode="none", vehicles={"uav1": alone}))
+    assert "C-SLAM" in text
+    assert "uav1: 198 m, 100 of 101 frames; no peer" in text
+
+
 def test_the_link_line_shows_rates_and_drops(pair):
-    line = link_line("uav2", build_summary(pair, git=None)["vehicles"]["uav2"])
+    line = link_line("uav2", build_summary(pair, git=None)["vehicles"]["uav2"], "wideband")
     assert line == ("uav2: 198 m, 100 of 101 frames; sent 10 packets, 18.23 kB/s; received 9, used 8; dropped: 1 stale")
 
 

@@ -39,7 +39,7 @@ def flight_result(
     fused = {vehicle for vehicle in tracks if modes[vehicle] != "none" or configs[vehicle].start.map}
     members = {vehicle: fleet[vehicle] if vehicle in fused else None for vehicle in tracks}
     vehicles = {
-        vehicle: _vehicle_result(track, members[vehicle], truths[vehicle], configs[vehicle])
+        vehicle: _vehicle_result(track, members[vehicle], truths[vehicle], configs[vehicle], alone=len(tracks) == 1)
         for vehicle, track in tracks.items()
     }
     stamps = [output.report.pose.stamp_ns for track in tracks.values() for output in track.outputs]
@@ -74,9 +74,15 @@ def link_counters(member: CooperativeTrack) -> LinkCounters:
 
 
 def _vehicle_result(
-    track: VehicleTrack, member: CooperativeTrack | None, truth: Trajectory | None, config: VehicleConfig
+    track: VehicleTrack,
+    member: CooperativeTrack | None,
+    truth: Trajectory | None,
+    config: VehicleConfig,
+    *,
+    alone: bool,
 ) -> VehicleResult:
     own = track.poses
+    sender = None if alone else member  # packets that nobody can receive are no traffic
     if truth is not None and own and config.start.defines_map:
         truth = in_start_frame(truth, own[0].stamp_ns)
     return VehicleResult(
@@ -93,7 +99,7 @@ def _vehicle_result(
         alarms=track.alarms_at,
         dropped=track.dropped,
         landmarks=track.landmarks.landmarks(),
-        link=link_counters(member) if member else LinkCounters(),
-        epochs=tuple(member.epochs) if member else (),
+        link=link_counters(sender) if sender else LinkCounters(),
+        epochs=tuple(sender.epochs) if sender else (),
         stage_s=track.stage_s | ({"fusion": member.fusion_s} if member else {}),
     )

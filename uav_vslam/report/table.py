@@ -28,7 +28,7 @@ def print_summary(summary: Figures, console: Console | None = None) -> None:
         lines = quality_lines(vehicle)
         if offset := vehicle["clock_offset"]:
             lines.append(str(ClockOffset(**offset)))
-        for line in (link_line(name, vehicle), *(f"  {line}" for line in lines)):
+        for line in (link_line(name, vehicle, summary["mode"]), *(f"  {line}" for line in lines)):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -72,12 +72,12 @@ def _rows(summary: Figures, columns: dict[str, str]) -> Table:
     return table
 
 
-def link_line(name: str, vehicle: Figures) -> str:
-    """Return one line with distance, frames and radio statistics."""
+def link_line(name: str, vehicle: Figures, mode: str) -> str:
+    """Return one line with distance, frames and, unless the flight's mode is none, radio statistics."""
     link = vehicle["link"]
     offered = "" if vehicle["frames_in"] is None else f" of {vehicle['frames_in']}"
     flown = f"{name}: {vehicle['distance_m']:.0f} m, {vehicle['frames_processed']}{offered} frames"
-    if vehicle["c_slam"] is None and link["packets_sent"] == 0:
+    if link["packets_sent"] == 0 and (vehicle["c_slam"] is None or mode == "none"):
         return f"{flown}; no peer"
     dropped = ", ".join(f"{count} {reason}" for reason, count in link["dropped"].items()) or "none"
     waiting = f", waiting {link['packets_waiting']}" if link.get("packets_waiting") else ""

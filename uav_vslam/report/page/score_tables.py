@@ -34,7 +34,7 @@ def quality_section(flights: Sequence[FlightFiles]) -> Markup:
         tag(
             "div",
             tag("h3", f"{flight.label}: {name}" if len(flights) > 1 else name),
-            tag("p", link_line(name, figures).removeprefix(f"{name}: ")),
+            tag("p", link_line(name, figures, flight.summary["mode"]).removeprefix(f"{name}: ")),
             *(_line(text, figures) for text in quality_lines(figures)),
             class_="card",
         )
