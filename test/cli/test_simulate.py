@@ -35,6 +35,14 @@ def test_arguments_reach_the_recording(tmp_path: Path, capsys: pytest.CaptureFix
     assert f"{out}: 1 vehicles, 3 image pairs each" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("coding", [[], ["--compressed", "png"]])
+def test_a_quality_without_jpeg_is_refused(coding: list[str], tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="give --compressed jpeg"):
+        simulate.run(parse(str(tmp_path / "flight"), "--quality", "50", *coding))
+    assert simulate.coding_from(parse("x", "--compressed", "jpeg", "--quality", "50")).quality == 50
+    assert simulate.coding_from(parse("x", "--compressed", "jpeg")).quality == 90
+
+
 @pytest.mark.slow
 def test_a_recording_of_objects_in_colour_reads_back_in_colour(tmp_path: Path) -> None:
     out = tmp_path / "flight"

@@ -11,6 +11,7 @@ from uav_vslam.cli.arguments import non_negative
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
+    from uav_vslam.datasets.flight_writer import ImageCoding
     from uav_vslam.simulation.scenario import Scenario
 
 HELP = "fly a fleet over rendered farmland and record it as a bag"
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--compressed", nargs="?", const="png", choices=["png", "jpeg"], help="record compressed images"
     )
-    parser.add_argument("--quality", type=int, default=90, help="of jpeg, 1 to 100 (default 90)")
+    parser.add_argument("--quality", type=int, help="of jpeg, 1 to 100 (default 90)")
     parser.add_argument("--storage", default="mcap", choices=["mcap", "sqlite3"], help="bag format (default mcap)")
     parser.add_argument("--zstd", action="store_true", help="compress the mcap file's chunks: small messages shrink")
 
@@ -61,12 +62,11 @@ def run(args: argparse.Namespace) -> int:
     """Simulate and record; return the exit status."""
     import cv2
 
-    from uav_vslam.datasets.flight_writer import ImageCoding
     from uav_vslam.simulation.recording import record
 
     cv2.setNumThreads(1)
     scenario = scenario_from(args)
-    coding = ImageCoding(args.compressed or "raw", args.quality)
+    coding = coding_from(args)
     with progress_bar("rendering", scenario.frames * scenario.vehicles) as advance:
         record(
             scenario,
@@ -82,6 +82,22 @@ def run(args: argparse.Namespace) -> int:
         f"{scenario.duration_s:.1f} s, {size_mb:.1f} MB"
     )
     return 0
+
+
+def coding_from(args: argparse.Namespace) -> ImageCoding:
+    """Return how images are recorded.
+
+    Raises:
+        ConfigError: a quality is given, but not for jpeg images.
+    """
+    from uav_vslam.datasets.flight_writer import ImageCoding
+    from uav_vslam.errors import ConfigError
+
+    if args.quality is None:
+        return ImageCoding(args.compressed or "raw")
+    if args.compressed != "jpeg":
+        raise ConfigError("--quality is that of jpeg images: give --compressed jpeg with it")
+    return ImageCoding(args.compressed, args.quality)
 
 
 def scenario_from(args: argparse.Namespace) -> Scenario:
