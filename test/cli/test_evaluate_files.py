@@ -104,6 +104,9 @@ def test_another_clock_of_the_truth_is_named_and_its_offset_taken(tmp_path: Path
     assert unaware["ate_m"]["none"] > 5.0
     assert unaware["clock_offset"]["offset_s"] == pytest.approx(0.4, abs=0.001)
     assert "mine: the clock of the ground truth seems to be off: with +0.400 s" in capsys.readouterr().err
+    evaluate(tmp_path / "wrong", estimate, "--truth", truth, "--truth-offset", "1")
+    assert "-0.600 s more added to its stamps" in (said := capsys.readouterr().err)
+    assert "--truth-offset 0.400" in said  # in place of the 1 s, not beside it
     (aware,) = evaluate(tmp_path / "aware", estimate, "--truth", truth, "--truth-offset", "0.4")["runs"]
     assert aware["ate_m"]["none"] < 1e-6
     assert aware["clock_offset"] is None
@@ -115,6 +118,7 @@ def test_what_can_not_be_evaluated_is_refused_in_one_line(files, results: Path, 
     (tmp_path / "folder").mkdir()
     assert "holds no trajectories such as uav1_s_slam.tum" in refused(capsys, "evaluate", tmp_path / "folder")
     assert "nowhere" in refused(capsys, "evaluate", tmp_path / "nowhere", "--truth", files["truth"])
+    (files["kitti"].parent / "s_slam_times.txt").unlink()
     assert "its 200 poses are not the 2000" in refused(capsys, "evaluate", files["kitti"], "--truth", files["truth"])
     for path in results.glob("*_truth.tum"):
         path.unlink()

@@ -36,7 +36,7 @@ def compare_files(args: argparse.Namespace) -> int:
         print_comparison(tree)  # first: a full disk must not cost it
     finally:  # nor a reader that has closed the pipe the results
         folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
-    _report_offsets(runs, tree)
+    _report_offsets(runs, tree, args.truth_offset)
     print(f"written to {folder}")
     return 0
 
@@ -86,12 +86,12 @@ def _of_folder(folder: Path, name: str, truth: Trajectory | None) -> list[Run]:
     return runs
 
 
-def _report_offsets(runs: list[PairedRun], tree: Figures) -> None:
+def _report_offsets(runs: list[PairedRun], tree: Figures, given_s: float) -> None:
     from uav_vslam.evaluation.clock_offset import ClockOffset
 
     for run, figures in zip(runs, tree["runs"], strict=True):
         if offset := figures["clock_offset"]:
-            warn(f"{run.run.label}: {ClockOffset(**offset)}")
+            warn(f"{run.run.label}: {ClockOffset(**offset).text(given_s)}")
 
 
 def _report_partial(run: PairedRun) -> None:

@@ -33,10 +33,14 @@ class ClockOffset:
     moved_ate_m: float
 
     def __str__(self) -> str:
+        return self.text()
+
+    def text(self, given_s: float = 0.0) -> str:
+        """Return what was found and what to give, if `given_s` [s] were added to the stamps already."""
         return (
-            f"the clock of the ground truth seems to be off: with {self.offset_s:+.3f} s added to its stamps, ATE SE3 "
-            f"is {self.moved_ate_m:.3g} m instead of {self.ate_m:.3g} m; "
-            f"score so by `uav-vslam evaluate ... --truth-offset {self.offset_s:.3f}`"
+            f"the clock of the ground truth seems to be off: with {self.offset_s:+.3f} s {'more ' if given_s else ''}"
+            f"added to its stamps, ATE SE3 is {self.moved_ate_m:.3g} m instead of {self.ate_m:.3g} m; "
+            f"score so by `uav-vslam evaluate ... --truth-offset {given_s + self.offset_s:.3f}`"
         )
 
 

@@ -50,6 +50,7 @@ def test_every_format_is_read_back_with_its_exact_stamps(estimate, tmp_path):
     assert_equal(read_trajectory(write_csv(estimate, tmp_path / "a.csv")), estimate)
     kitti = write_kitti(estimate, tmp_path / "a.txt")
     assert_equal(read_trajectory(kitti, times=tmp_path / "a_times.txt"), estimate)
+    assert_equal(read_trajectory(kitti), estimate)  # the stamps are beside it
 
 
 def test_csv_keeps_the_covariance_and_tells_where_it_is_unknown(estimate, truth, tmp_path):

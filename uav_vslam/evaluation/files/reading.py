@@ -35,8 +35,8 @@ def read_trajectory(
 
     Args:
         path: the file.
-        times: a file with a stamp a line [s], for KITTI.
-        reference: gives a KITTI file without `times` its stamps, where both have the same number of poses.
+        times: a file with a stamp a line [s], for KITTI; None for NAME_times.txt beside it, if there is one.
+        reference: gives a KITTI file without times its stamps, where both have the same number of poses.
         numbered: gives a KITTI file without both the stamps of 10 Hz; they only serve to pair the rows of two files.
 
     Raises:
@@ -53,6 +53,11 @@ def read_trajectory(
         f"{rows.at(0)}: {rows.columns} columns are no pose; expected 8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI), or "
         "8 or more with commas (EuRoC: stamp,x,y,z,qw,qx,qy,qz,...)"
     )
+
+
+def times_beside(path: Path) -> Path:
+    """Return where `export` writes the stamps of a KITTI file."""
+    return path.with_name(f"{path.stem}_times.txt")
 
 
 def is_kitti(path: Path) -> bool:
@@ -124,7 +129,9 @@ def _kitti(rows: Rows, stamps_ns: NDArray[np.int64]) -> Trajectory:
 
 
 def _kitti_stamps(rows: Rows, times: Path | None, reference: Trajectory | None, *, numbered: bool) -> NDArray[np.int64]:
-    count = len(rows.cells)
+    count, beside = len(rows.cells), times_beside(rows.path)
+    if times is None and beside.is_file():
+        times = beside
     if times is not None:
         found = read_rows(times)
         if found.columns != 1 or len(found.cells) != count:

@@ -70,7 +70,9 @@ def read_flight(folder: Path, label: str) -> FlightFiles:
     summary = read_json(folder / "summary.json")
     vehicles_of = summary.get("vehicles")
     if not isinstance(vehicles_of, dict) or not all(isinstance(figures, dict) for figures in vehicles_of.values()):
-        raise UavVslamError(f"{folder / 'summary.json'} lists no vehicles; name a folder that run or demo wrote")
+        raise UavVslamError(
+            f"{folder / 'summary.json'} lists no vehicles; name the results of a flight, a study or a mosaic"
+        )
     tracks = read_results(folder)
     vehicles = {name: VehicleFiles(name, tracks.get(name, {}), _tables(folder, name), folder) for name in vehicles_of}
     firsts = [
@@ -91,7 +93,9 @@ def read_json(path: Path) -> Figures:
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise UavVslamError(f"{path} can't be read: {error.strerror}; name a folder of results") from None
+        raise UavVslamError(
+            f"{path} can't be read: {error.strerror}; name the results of a flight, a study or a mosaic"
+        ) from None
     except ValueError as error:
         raise UavVslamError(f"{path} is no JSON: {error}; was the run interrupted?") from None
     if not isinstance(tree, dict):
