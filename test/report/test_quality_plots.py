@@ -63,11 +63,16 @@ def test_the_calibration_is_drawn_where_it_is_estimated(judged):
     first, *others = vehicle.frames
     frames = (first, *(dataclasses.replace(f, time_offset_s=-2e-4, time_offset_sigma_s=1e-4) for f in others))
     vehicles = {"uav1": dataclasses.replace(vehicle, frames=frames)}
-    offset = quality_plot(dataclasses.replace(judged, vehicles=vehicles)).axes[4:]
+    drawn = quality_plot(dataclasses.replace(judged, vehicles=vehicles))
+    offset, (legend,) = drawn.axes[4:], drawn.legends
     assert [axes.get_ylabel() for axes in offset] == ["Time offset ±1σ [ms]"]
     np.testing.assert_allclose(offset[0].lines[-1].get_ydata(), [np.nan, *[-0.2] * 99])
     low, high = offset[0].collections[-1].get_datalim(offset[0].transData).intervaly
     assert (low, high) == pytest.approx((-0.3, -0.1))
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["95 % band", "NIS / dof", "features", "tracked", "associated", "±1σ"]
+    colours = [tuple(patch.get_facecolor()) for patch in legend.get_patches()]
+    assert len(set(colours)) == 2  # the sigma does not look like a band
 
 
 def test_the_scale_of_a_row_holds_what_every_vehicle_has_in_it(judged):

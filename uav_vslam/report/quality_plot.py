@@ -12,7 +12,7 @@ from uav_vslam.evaluation.result import FlightResult, VehicleResult
 from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log
 from uav_vslam.types import NS_PER_S, FrameQuality
 
-COASTED, EVENT = "#f3c9c4", "#d62728"
+COASTED, EVENT, SIGMA = "#f3c9c4", "#d62728", "#d9d9d9"
 LABELS = ("NIS / dof", "Points", "1σ position [m]", "1σ heading [deg]")
 CALIBRATION = {  # fields of a frame: estimate, standard deviation, and by what they are multiplied
     "Time offset ±1σ [ms]": ("time_offset_s", "time_offset_sigma_s", 1e3),
@@ -43,9 +43,9 @@ def quality_plot(result: FlightResult) -> Figure | None:
     for axes, label in zip(grid[:, 0], labels, strict=True):
         axes.set_ylabel(label)
     figure.suptitle(f"{result.name}: S-SLAM without ground truth; shaded: coasted, dashed: reported problem")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    more_handles, more_labels = grid[1, 0].get_legend_handles_labels()
-    figure.legend(handles + more_handles, labels + more_labels, loc="outside lower center", ncols=5, frameon=False)
+    rows = [grid[row, 0] for row in ((0, 1, len(LABELS)) if estimated else (0, 1))]
+    legend = {name: handle for axes in rows for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=6, frameon=False)
     return figure
 
 
@@ -72,7 +72,7 @@ def _draw(column: NDArray[Any], vehicle: VehicleResult, estimated: list[tuple[st
     for axes, (name, sigma_name, scale) in zip(column[len(LABELS) :], estimated, strict=True):
         mean, sigma = (scale * np.array([getattr(frame, field) for frame in frames]) for field in (name, sigma_name))
         mean = np.where(sigma > 0, mean, np.nan)  # not estimated
-        axes.fill_between(seconds, mean - sigma, mean + sigma, color=BAND, linewidth=0)
+        axes.fill_between(seconds, mean - sigma, mean + sigma, color=SIGMA, linewidth=0, label="±1σ")
         axes.plot(seconds, mean, color="black", linewidth=1.3)
 
 

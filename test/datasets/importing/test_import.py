@@ -73,7 +73,7 @@ def test_what_can_not_be_read_is_named_with_its_line_counted_and_listed(
     assert sum("200000000.png is empty" in text for text in listed) == 1
     said = capsys.readouterr()
     assert all(line in said.err for line in listed)
-    assert "2 lines that can't be read, 2 missing pictures, 2 pictures without a partner" in said.out
+    assert "2 lines that can't be read, 2 missing or broken pictures, 2 pictures without a partner" in said.out
     events = list(open_flight(out, "uav1").iter_events())
     assert [e.stamp_ns for e in events if isinstance(e, StereoFrame)] == [100_000_000, 250_000_000, 300_000_000]
     assert sum(isinstance(e, ImuSample) for e in events) == len(IMU) - 1
@@ -196,7 +196,7 @@ def test_a_picture_that_turns_out_to_be_none_is_left_out(name: str, tmp_path: Pa
     problems = Problems()
     picture = Picture(7, path)
     assert list(frames(paired([picture], [picture], problems), rig_of(64, 48), problems)) == []
-    assert problems.counts == {"missing pictures": 2}
+    assert problems.counts == {"missing or broken pictures": 2}
     assert problems.lines[0] == f"{path}: can't be decoded"
 
 

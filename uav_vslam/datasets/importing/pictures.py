@@ -21,7 +21,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.search import nearest
 
 COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
-MISSING, UNPAIRED = "missing pictures", "pictures without a partner"
+MISSING, UNPAIRED = "missing or broken pictures", "pictures without a partner"
 OTHER_SIZE = "pictures of another size than calibrated"
 
 Image = NDArray[Any]

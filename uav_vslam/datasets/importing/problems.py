@@ -36,7 +36,7 @@ class Problems:
         """Note one.
 
         Args:
-            kind: what it counts as, a plural noun ("missing pictures").
+            kind: what it counts as, a plural noun ("missing or broken pictures").
             path: file in which, or because of which, it was met.
             text: what is wrong.
             line: number in the file, from 1.
