@@ -18,6 +18,16 @@ def test_the_demo_flies_both_vehicles_and_reports_on_them(tmp_path: Path, capsys
     assert "start yaw" in capsys.readouterr().out
 
 
+def test_a_folder_that_keeps_a_demo_is_refused_by_the_option_that_named_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "demo").mkdir()
+    assert main(["demo", "--keep", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert "demo exists already; choose another folder for --keep" in said.err
+    assert said.out == ""
+
+
 @pytest.mark.ros
 def test_a_demo_that_is_interrupted_has_not_failed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -22,6 +22,7 @@ EXAMPLES = """examples:
 One process a node, over DDS on a ROS domain of its own; nothing is left running. Results go below results/.
 """
 FLEET = "fleet_demo.yaml"
+ESTIMATES = "demo"  # the recorded bag
 SERIOUS = re.compile(r"\[(WARN|ERROR|FATAL)\]|Error|Traceback")
 STAMPED = re.compile(r"^\[(\w+)\] \[[\d.]+\] \[[\w./]+\]: ")
 
@@ -38,7 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Launch, evaluate, print; return the exit code of the first process that failed, or 0."""
+    from uav_vslam.errors import BagError
+
     if args.keep is not None:
+        if (args.keep / ESTIMATES).exists():
+            raise BagError(f"{args.keep / ESTIMATES} exists already; choose another folder for --keep")
         args.keep.mkdir(parents=True, exist_ok=True)
         return _run_in(args.keep, args)
     with tempfile.TemporaryDirectory(prefix="uav_vslam_demo_") as folder:
@@ -53,7 +58,7 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
     from uav_vslam.ros.supervisor import print_line
 
     fleet = read_fleet(find_config(FLEET), bags=None, rate=args.rate, mode=args.mode)
-    estimates = folder / "demo"
+    estimates = folder / ESTIMATES
     on_line = print_line if args.verbose else print_progress
     started = time.monotonic()
     with claimed_domain() as domain_id:
