@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     who.add_argument(
         "--vehicles", nargs="+", type=namespace, metavar="NAME", default=[], help="watch these (default: all found)"
     )
-    parser.add_argument("--once", action="store_true", help="print one table and exit: 1 if nothing was received")
+    parser.add_argument("--once", action="store_true", help="print one table and exit: 1 if a vehicle sent nothing")
     parser.add_argument(
         "--wait", type=positive_seconds, default=5.0, metavar="S", help="with --once: after S seconds (default 5)"
     )
