@@ -24,7 +24,7 @@ from uav_vslam.mapping.flown_map import UNSEEN_GREY  # noqa: E402
 from uav_vslam.mapping.surface.grid import HeightGrid  # noqa: E402
 from uav_vslam.mapping.surface.mapper import SurfaceMapper  # noqa: E402
 from uav_vslam.ros.convert import flat, header, navigation_to_msg, pose_with_covariance_to_msg, transform_to_msg  # noqa: E402
-from uav_vslam.ros.mapper_node import MapperNode  # noqa: E402
+from uav_vslam.ros.mapper_node import MAX_WAITING, MapperNode  # noqa: E402
 from uav_vslam.ros.qos import LATCHED  # noqa: E402
 from uav_vslam.types import NavEstimate, NavState, PoseEstimate  # noqa: E402
 from waiting import wait_for  # noqa: E402
@@ -171,8 +171,6 @@ def test_a_map_without_a_folder_is_published_only(make: Make) -> None:
 
 def test_images_and_poses_without_a_partner_are_counted(make: Make) -> None:
     node = make()
-    show(node, 0)
-    assert node.counts["dropped/no_calibration"] == 1
     calibrate(node)
     show(node, 1)
     show(node, 2)
@@ -181,6 +179,20 @@ def test_images_and_poses_without_a_partner_are_counted(make: Make) -> None:
     locate(node, 3)
     assert node.counts["dropped/pose_without_image"] == 1
     assert node.counts["views"] == 1
+
+
+@pytest.mark.parametrize("too_many", [0, 2])
+def test_images_wait_for_the_calibration(make: Make, too_many: int) -> None:
+    """The first one may come with it, in any order: none is lost in a healthy start."""
+    node = make()
+    for k in range(MAX_WAITING + too_many):
+        show(node, k)
+    assert node.counts["dropped/no_calibration"] == too_many
+    calibrate(node)
+    for k in range(too_many, MAX_WAITING + too_many):
+        locate(node, k)
+    assert node.counts["views"] == MAX_WAITING
+    assert node.counts["dropped/image_without_pose"] == node.counts["dropped/pose_without_image"] == 0
 
 
 def test_a_folder_that_holds_a_map_is_refused(make: Make, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ out  map/surface                                     sensor_msgs/PointCloud2, la
 
 import itertools
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,6 +40,7 @@ from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam_msgs.msg import NavigationState
 
 MESH_STEP_M = 2.0  # sides of the triangles that are published
+MAX_WAITING = 10  # images held until the calibration is known
 MOST_BUSY = 0.1  # share of the time that publishing the map may take
 COLOUR = ColorRGBA(r=0.55, g=0.6, b=0.45, a=1.0)
 
@@ -51,6 +53,7 @@ class MapperNode(VehicleNode):
         self._map = self._new_map(beside=self.own.resume)
         self._published_pairs, self._idle_until_s = 0, 0.0
         self._late: LatePoses | None = None
+        self._early: deque[Image | CompressedImage] = deque()  # which wait for the calibration
         self._stamp_ns = 0
         self._start_ns: int | None = None  # of the start in flight that the map begins with
         self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
@@ -80,6 +83,7 @@ class MapperNode(VehicleNode):
         """Begin another map, in a folder beside the present one, which is saved."""
         self._replace_map(self._new_map(beside=True))  # before anything has ended: it may be refused
         self._rig.restart()
+        self._early.clear()
         self._late = None
         self._on_rig()
 
@@ -112,10 +116,15 @@ class MapperNode(VehicleNode):
     def _on_rig(self) -> None:
         if self._rig.rig is not None and self._late is None:
             self._late = LatePoses(self.vehicle, self._rig.rig)
+            while self._early:
+                self._on_image(self._early.popleft())
 
     def _on_image(self, message: Image | CompressedImage) -> None:
         if self._late is None:
-            self.counts[f"{DROPPED}no_calibration"] += 1
+            self._early.append(message)
+            if len(self._early) > MAX_WAITING:
+                self._early.popleft()
+                self.counts[f"{DROPPED}no_calibration"] += 1
             return
         self._late.add_image(stamp_ns_of(message) + self._rig.time_offset_ns, image_from_msg(message))
 

@@ -40,7 +40,9 @@ def _call(node: Observer, vehicle: str, kind: Any, name: str, request: Any, wait
     client = node.create_client(kind, service)
     try:
         if not node.spin_until(client.service_is_ready, wait_s):
-            raise UavVslamError(f"{service} is not there; is {vehicle} flying, and on this ROS domain?")
+            raise UavVslamError(
+                f"{service} is not there; is {vehicle} flying, on this ROS domain, and not with --no-parameter-services?"
+            )
         answer = client.call_async(request)
         if not node.spin_until(answer.done, wait_s):
             raise UavVslamError(f"{service} did not answer within {wait_s:g} s; is its node alive?")
