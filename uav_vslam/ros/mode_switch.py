@@ -41,7 +41,7 @@ def _call(node: Observer, vehicle: str, kind: Any, name: str, request: Any, wait
     try:
         if not node.spin_until(client.service_is_ready, wait_s):
             raise UavVslamError(
-                f"{service} is not there; is {vehicle} flying, on this ROS domain, and not with --no-parameter-services?"
+                f"{service} is not there; is {vehicle} flying, on this domain, and not with --no-parameter-services?"
             )
         answer = client.call_async(request)
         if not node.spin_until(answer.done, wait_s):
