@@ -16,6 +16,8 @@ from uav_vslam.datasets.mcap_file import McapFile
 
 __all__ = ["Folder", "Reader"]
 
+TEXTS = 256  # remembered at most: each topic may have a QoS of its own
+
 
 class Folder(DirectoryReader):
     """A bag's folder with its metadata."""
@@ -37,9 +39,6 @@ class Reader(reader.Reader):
     def mcap_files(self) -> list[McapFile]:
         """Those of mcap files."""
         return [one for one in self.storages if isinstance(one, McapFile)]
-
-
-TEXTS = 256  # remembered at most: each topic may have a QoS of its own
 
 
 class _Parser(YAML):
