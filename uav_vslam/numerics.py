@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.linalg.blas import dgemm
+from scipy.linalg.blas import dgemm, dtrmm
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtri
 
 from uav_vslam.errors import FilterDivergence
@@ -12,6 +12,7 @@ from uav_vslam.errors import FilterDivergence
 Array = NDArray[np.float64]
 
 NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+INVERTED_WHOLE = 128  # rows of a triangle
 
 
 def symmetrise(A: Array) -> Array:
@@ -61,10 +62,18 @@ def inverse_from_cholesky(L: Array) -> Array:
 
 
 def inverse_of_triangle(L: Array) -> Array:
-    """Return the inverse of a lower triangle L (n, n)."""
-    if len(L) == 0:  # LAPACK would complain on the terminal
+    """Return the inverse of a lower triangle L (n, n); a large one by halves: LAPACK takes half as long again."""
+    n, middle = len(L), len(L) // 2
+    if n == 0:  # LAPACK would complain on the terminal
         return np.zeros((0, 0))
-    return np.asarray(dtrtri(L, lower=1)[0])
+    if n <= INVERTED_WHOLE:
+        return np.asarray(dtrtri(L, lower=1)[0])
+    inverse = np.zeros((n, n), order="F")
+    inverse[:middle, :middle] = first = inverse_of_triangle(L[:middle, :middle])
+    inverse[middle:, middle:] = second = inverse_of_triangle(L[middle:, middle:])
+    across = dtrmm(1.0, first, L[middle:, :middle], side=1, lower=1)
+    inverse[middle:, :middle] = dtrmm(-1.0, second, across, lower=1, overwrite_b=1)
+    return inverse
 
 
 def log_det_of(L: Array) -> float:

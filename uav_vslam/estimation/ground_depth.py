@@ -10,6 +10,8 @@ no ground.
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.numerics import robust_sigma
+
 Array = NDArray[np.float64]
 
 SLOPE_SIGMA = 1.0  # prior standard deviation of b/a and c/a, the tangents of the ground's tilt
@@ -17,7 +19,6 @@ STEEP = np.tan(np.deg2rad(40.0))  # of a view, beyond which the ground's depth i
 FARTHEST = 5.0  # of the ground, over the points' median depth: the plane may reach the horizon
 NO_GROUND = 2.0  # standard deviations that points scatter about ground: beyond that they show none
 ENOUGH = 10  # points to tell a slope or that there is no ground
-MAD_SIGMA = 1.4826  # standard deviation over the median absolute deviation, of a Gaussian
 
 
 def ground_depth(points_left: Array, depth_variance: Array, relief: float) -> Array | None:
@@ -40,7 +41,7 @@ def ground_depth(points_left: Array, depth_variance: Array, relief: float) -> Ar
     N[[0, 1], [0, 1]] += (median / SLOPE_SIGMA) ** 2
     plane = np.linalg.solve(N, A.T @ (weight / depth))
     ground = 1.0 / np.maximum(A @ plane, 1.0 / (FARTHEST * median))
-    scatter = MAD_SIGMA * float(np.median(np.abs(ground / depth - 1.0)))
+    scatter = robust_sigma(ground / depth - 1.0)
     if scatter > NO_GROUND * np.sqrt(relief**2 + np.median(variance * ground**2)):
         return None
     return ground if np.hypot(*plane[:2]) > STEEP * plane[2] else level
