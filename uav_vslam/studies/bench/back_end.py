@@ -37,7 +37,9 @@ CHOLESKY, QR = "CHOLESKY", "QR"
 ABUNDANCE = 1.5  # landmarks on the ground for each that a frame shows
 
 
-def back_end(landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factorisation: str = CHOLESKY) -> Row:
+def back_end(
+    landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factorisation: str = CHOLESKY, seed: int = 1
+) -> Row:
     """Time both over a flight; their errors are those of this one flight.
 
     Args:
@@ -46,8 +48,9 @@ def back_end(landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factori
         lag_s: of the smoother [s].
         factorisation: of the smoother. CHOLESKY is many times faster, but can't use the motion with the covariance that
             was measured and that our filter uses; QR can.
+        seed: of the flight.
     """
-    vehicle = simulate_vehicle(Scenario(frames=WARM_UP + frames), 0)
+    vehicle = simulate_vehicle(Scenario(frames=WARM_UP + frames, seed=seed), 0)
     field = scatter_landmarks([vehicle], per_frame=ABUNDANCE * landmarks)
     seen = thin_out(observe(vehicle, field), landmarks, size=vehicle.rig.left.size)
     ours, theirs = _our_back_end(vehicle, seen), _gtsam(vehicle, seen, lag_s, factorisation)
