@@ -9,7 +9,7 @@ from mcap.writer import Writer
 
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.foreign_mcap import what_is_foreign
-from uav_vslam.datasets.rosbag import foreign_topics_of, iter_raw, iter_readable, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, iter_readable, topics_of
 from uav_vslam.errors import BagError
 
 IMU, LEFT = "sensor_msgs/msg/Imu", "/uav1/left/image_raw"
@@ -81,7 +81,7 @@ def test_the_topics_of_ros_2_are_read_and_others_named(
         return
     assert list(iter_raw([file])) == expected
     assert topics_of([file]) == topics_of([tiny_bag])
-    assert foreign_topics_of([file]) == {"/log": "protobuf", "/status": "json"}
+    assert topics_of([file]).foreign == {"/log": "protobuf", "/status": "json"}
     (warning,) = [text for text in open_flight(file, "uav1").warnings if "protobuf" in text]
     assert warning == "messages of /log are protobuf, and messages of /status are json instead of CDR, and are not read"
 

@@ -17,7 +17,7 @@ from uav_vslam.datasets.messages import (
     navigation_state_of,
     transforms_of,
 )
-from uav_vslam.datasets.rosbag import TopicInfo, foreign_topics_of, iter_readable, names_of, topics_of
+from uav_vslam.datasets.rosbag import Topics, iter_readable, names_of, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.truth import unread_text
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
@@ -82,11 +82,11 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
         right_topic=right_topic,
         T_body_imu=T_body_imu,
         time_offset_ns=setup.time_offset_ns,
-        warnings=tuple(_warnings(bags, setup)),
+        warnings=tuple(_warnings(bags, topics, setup)),
     )
 
 
-def _warnings(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
+def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Iterator[str]:
     """Yield what is doubtful about the frames of a recording."""
     if setup.imu_unnamed:
         topic = setup.config.topic(setup.vehicle, "imu")
@@ -94,8 +94,8 @@ def _warnings(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
     if setup.frames.moved:
         frames = ", ".join(sorted(setup.frames.moved))
         yield f"{TF_STATIC} places {frames} differently from message to message; the last one counts"
-    if foreign := foreign_topics_of(bags):
-        yield f"{named(foreign)} instead of CDR, and are not read"
+    if topics.foreign:
+        yield f"{named(topics.foreign)} instead of CDR, and are not read"
     topic = setup.config.topic(setup.vehicle, "truth")
     truth = _first(bags, topic)
     if truth is not None and truth.__msgtype__ not in TRUTH_TYPES:
@@ -104,7 +104,7 @@ def _warnings(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
         yield f"{topic} {conflict}"
 
 
-def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str) -> str:
+def _image_topic(bags: Sequence[Path], topics: Topics, name: str) -> str:
     found = [topic for topic in image_names(name) if topic in topics]
     for topic in found:
         if topics[topic].msgtype in IMAGE_TYPES:
@@ -114,12 +114,12 @@ def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str) 
     raise _missing_topic(bags, topics, " or ".join(image_names(name)))
 
 
-def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: str) -> BagError:
+def _missing_topic(bags: Sequence[Path], topics: Topics, topic: str) -> BagError:
     folder = f"/{topic.split('/')[1]}/"
     own = sorted(t for t in topics if t.startswith(folder))
     there = f"below {folder} it holds {', '.join(own)}" if own else f"it holds {', '.join(sorted(topics)) or 'nothing'}"
-    if foreign := foreign_topics_of(bags):
-        there += f"; {named(foreign)}, which can't be read"
+    if topics.foreign:
+        there += f"; {named(topics.foreign)}, which can't be read"
     remedy = "set input.calibration" if topic == TF_STATIC else "set input.topics"
     remedy += ", or input.calibration" if topic.endswith("camera_info") else ""
     return BagError(f"bag {names_of(bags)} lacks {topic}; {there}; record that topic, or {remedy}")
@@ -138,7 +138,7 @@ def _initial_state(bags: Sequence[Path], setup: SensorSetup) -> NavEstimate | No
         raise BagError(f"bag {names_of(bags)}: {topic}: {error}; record a start state that is valid") from None
 
 
-def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSetup) -> None:
+def _collect(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> None:
     """Read all static transforms, and camera infos until all that is needed is known, or the recording ends."""
     for raw in iter_readable(bags, [TF_STATIC]) if TF_STATIC in topics else ():
         setup.frames.add(transforms_of(decode(raw)))

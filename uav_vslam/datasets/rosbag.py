@@ -48,17 +48,37 @@ class TopicInfo:
     latched: bool
 
 
-def topics_of(paths: Sequence[Path]) -> dict[str, TopicInfo]:
+class Topics(dict[str, TopicInfo]):
+    """The topics of recordings, by name.
+
+    Attributes:
+        foreign: encodings of those that are left out because their messages are not of ROS 2: "protobuf".
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.foreign: dict[str, str] = {}
+
+    def count(self, topic: str, msgtype: str, messages: int, *, latched: bool) -> None:
+        """Count messages of a topic; type and durability are those of the last ones."""
+        name = _full_name(topic)
+        self[name] = TopicInfo(msgtype, messages + (self[name].count if name in self else 0), latched)
+
+
+def topics_of(paths: Sequence[Path]) -> Topics:
     """Return the topics of one or more bags together.
 
     Raises:
         BagError: a path is missing or not a bag.
     """
-    topics: dict[str, TopicInfo] = {}
+    topics = Topics()
     for file in _files(paths):
-        for topic, info in _topics_of_file(file).items():
-            known = topics.get(topic, TopicInfo(info.msgtype, 0, info.latched))
-            topics[topic] = TopicInfo(info.msgtype, known.count + info.count, info.latched)
+        if is_truncated(file):
+            _survey_truncated_file(file, topics)
+        elif file.suffix == ros1_bag.SUFFIX:
+            _survey_ros1_file(file, topics)
+        else:
+            _survey_whole_file(file, topics)
     return topics
 
 
@@ -92,17 +112,6 @@ class UpToDamage(Generic[Item]):
             yield from self._items
         except BagError as error:
             self.error = error
-
-
-def foreign_topics_of(paths: Sequence[Path]) -> dict[str, str]:
-    """Return the encodings of topics that are left out because their messages are not of ROS 2: "protobuf"."""
-    foreign: dict[str, str] = {}
-    for file in _files(paths):
-        if not is_truncated(file) and file.suffix != ros1_bag.SUFFIX:
-            with ExitStack() as stack:
-                for mcap in _open(file, stack).mcap_files:
-                    foreign |= {_full_name(topic): encoding for topic, encoding in mcap.foreign.items()}
-    return foreign
 
 
 def iter_readable(paths: Sequence[Path], topics: Sequence[str]) -> Iterator[RawMessage]:
@@ -176,21 +185,15 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
-def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
-    if is_truncated(file):
-        return _topics_of_truncated_file(file)
-    if file.suffix == ros1_bag.SUFFIX:
-        return _topics_of_ros1_file(file)
+def _survey_whole_file(file: Path, topics: Topics) -> None:
     with ExitStack() as stack:
         reader = _open(file, stack)
-        topics: dict[str, TopicInfo] = {}
         for connection in _connections(reader):
             profiles = getattr(connection.ext, "offered_qos_profiles", [])
             latched = any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in profiles)
-            topic = _full_name(connection.topic)
-            count = connection.msgcount + (topics[topic].count if topic in topics else 0)
-            topics[topic] = TopicInfo(connection.msgtype, count, latched)
-        return topics
+            topics.count(connection.topic, connection.msgtype, connection.msgcount, latched=latched)
+        for mcap in reader.mcap_files:
+            topics.foreign |= {_full_name(topic): encoding for topic, encoding in mcap.foreign.items()}
 
 
 def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
@@ -261,16 +264,12 @@ def _messages_of_ros1_file(file: Path, topics: frozenset[str] | None) -> Iterato
         yield RawMessage(_full_name(topic), msgtype, stamp_ns, data)
 
 
-def _topics_of_ros1_file(file: Path) -> dict[str, TopicInfo]:
-    topics: dict[str, TopicInfo] = {}
+def _survey_ros1_file(file: Path, topics: Topics) -> None:
     try:
-        for name, msgtype, count, latched in ros1_bag.topics(file):
-            topic = _full_name(name)
-            known = topics.get(topic, TopicInfo(msgtype, 0, latched))
-            topics[topic] = TopicInfo(msgtype, known.count + count, latched or topic.endswith("tf_static"))
+        for topic, msgtype, messages, latched in ros1_bag.topics(file):
+            topics.count(topic, msgtype, messages, latched=latched or topic.endswith("tf_static"))
     except Exception as error:  # struct and format errors, depending on the damage
         raise _damage(file, None, error) from None
-    return topics
 
 
 def _open(file: Path, stack: ExitStack) -> Reader:
@@ -290,13 +289,11 @@ def _messages_of_truncated_file(file: Path, topics: frozenset[str] | None) -> It
             yield raw if topic == raw.topic else replace(raw, topic=topic)
 
 
-def _topics_of_truncated_file(file: Path) -> dict[str, TopicInfo]:
-    topics: dict[str, TopicInfo] = {}
+def _survey_truncated_file(file: Path, topics: Topics) -> None:
+    raw = None
     try:
-        for raw in _messages_of_truncated_file(file, None):
-            count = topics[raw.topic].count if raw.topic in topics else 0
-            topics[raw.topic] = TopicInfo(raw.msgtype, count + 1, raw.topic.endswith(("tf_static", "initial_state")))
+        for raw in readable_messages(file):
+            topics.count(raw.topic, raw.msgtype, 1, latched=raw.topic.endswith(("tf_static", "initial_state")))
     except Exception as error:  # a truncated file always ends in one
-        if not topics:
+        if raw is None:
             raise _damage(file, None, error) from None
-    return topics

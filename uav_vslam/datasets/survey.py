@@ -27,7 +27,7 @@ from uav_vslam.datasets.messages import (
     transforms_of,
     truth_of,
 )
-from uav_vslam.datasets.rosbag import TopicInfo, foreign_topics_of, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, Topics, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.datasets.truth_track import TruthSeries, TruthTrack
@@ -86,8 +86,7 @@ class Survey:
     Attributes:
         vehicle: name.
         input: where its data come from.
-        topics: all of the recording that are of ROS 2.
-        foreign: encodings of its other topics.
+        topics: all of the recording.
         streams: by role, a field of `TopicsConfig`; those that were recorded with a type that can be read.
         imu: readings in the IMU's own axes.
         setup: calibration.
@@ -104,9 +103,8 @@ class Survey:
 
     vehicle: str
     input: InputConfig
-    topics: dict[str, TopicInfo]
+    topics: Topics
     setup: SensorSetup
-    foreign: dict[str, str] = field(default_factory=dict)
     streams: dict[str, Stream] = field(default_factory=dict)
     imu: ImuSeries = field(default_factory=ImuSeries)
     problems: list[str] = field(default_factory=list)
@@ -154,7 +152,6 @@ def survey_flight(
         BagError: a path is missing or not a bag, or nothing of it can be read.
     """
     reader = _Reader(topics_of(paths), vehicle.strip("/"), config)
-    reader.found.foreign = foreign_topics_of(paths)
     try:
         for raw in iter_raw(paths, reader.wanted):
             reader.add(raw)
@@ -167,7 +164,7 @@ def survey_flight(
 class _Reader:
     """Collects the messages of one vehicle."""
 
-    def __init__(self, topics: dict[str, TopicInfo], vehicle: str, config: InputConfig) -> None:
+    def __init__(self, topics: Topics, vehicle: str, config: InputConfig) -> None:
         setup, problems = _setup(vehicle, config)
         self.found = Survey(vehicle, config, topics, setup, problems=problems)
         self._roles = roles_of(topics, vehicle, config)

@@ -141,9 +141,9 @@ def check_topics(survey: Survey, guess: Guess) -> list[Finding]:
             judge = error if role != "truth" and bad > limits.UNUSABLE_SHARE * max(1, read) else warning
             seen = f"{stream.topic}: {bad} of {read} messages can't be used, the first: {stream.errors[0]}"
             found.append(judge(f"{role} messages", seen, "readable messages", "correct what writes them"))
-    if survey.foreign:
+    if survey.topics.foreign:
         remedy = "they are not read: record those that are needed as messages of ROS 2"
-        found.append(warning("encodings", named(survey.foreign), "messages in CDR", remedy))
+        found.append(warning("encodings", named(survey.topics.foreign), "messages in CDR", remedy))
     if survey.damage:
         found.append(warning("recording", survey.damage, "a complete bag", "only what could be read is judged"))
     return found or [ok("topics", "all that is needed is there")]
