@@ -256,8 +256,12 @@ def test_a_configuration_is_found_by_path_or_by_name(write: Write) -> None:
     assert find_config(str(path)) == path
     assert find_config("kagaru") == find_config("kagaru.yaml")
     assert load_vehicle(find_config("kagaru"))
-    with pytest.raises(ConfigError, match=r"'nowhere' is neither a file nor one of ours \(.*kagaru"):
+    with pytest.raises(ConfigError, match="'nowhere' is neither a file nor one of ours") as refused:
         find_config("nowhere")
+    offered = str(refused.value).partition("(")[2].rstrip(")").split(", ")
+    assert "kagaru" in offered
+    for name in offered:
+        load_vehicle(find_config(name))
 
 
 @pytest.mark.parametrize("file", sorted((ROOT / "config" / "links").glob("*.yaml")), ids=lambda file: file.stem)

@@ -54,7 +54,8 @@ def _find(name: str, kind: str, folders: Sequence[Path]) -> Path:
     for candidate in (Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in folders)):
         if candidate.is_file():
             return candidate
-    known = ", ".join(sorted({file.stem for folder in folders for file in folder.glob("*.yaml")}))
+    files = [file for folder in folders for file in folder.glob("*.yaml") if ALL_NODES in read_yaml(file)]
+    known = ", ".join(sorted({file.stem for file in files}))  # no fleet files
     raise ConfigError(f"{kind} {name!r} is neither a file nor one of ours ({known})")
 
 
