@@ -40,6 +40,7 @@ def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: 
     assert any("GPS contradicts" in text for text in figures["warnings"])
     assert "GPS contradicts" in (results / "report.html").read_text(encoding="utf-8")
     assert figures["seam"]["median_px"] < SEAM_PX
+    assert (results / "poses.csv").read_text(encoding="utf-8").startswith("picture,x_m,y_m,z_m,qw,")
     truth = {row[0]: np.array(row[1:4], float) for row in rows_of(source / "reference_poses.csv")}
     poses = {row[0]: np.array(row[1:4], float) for row in rows_of(results / "poses.csv")}
     reference = np.array([truth[name] for name in poses])
@@ -51,7 +52,7 @@ def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: 
 
 
 @pytest.mark.slow
-def test_pictures_that_can_t_be_decoded_are_named_in_the_results(tmp_path: Path) -> None:
+def test_without_gps_and_with_a_picture_that_can_t_be_decoded_the_results_say_so(tmp_path: Path) -> None:
     flown = flight(1, 3)
     folder = write(render(flown), flown.names(), tmp_path / "pictures")
     Image.fromarray(np.ones((48, 64), np.float32)).save(folder / "distance.tif")
@@ -59,6 +60,7 @@ def test_pictures_that_can_t_be_decoded_are_named_in_the_results(tmp_path: Path)
     results = tmp_path / "results" / "latest"
     assert "left out, can't be decoded: distance.tif" in json.loads((results / "mosaic.json").read_text())["warnings"]
     assert "distance.tif" in (results / "report.html").read_text(encoding="utf-8")
+    assert (results / "poses.csv").read_text(encoding="utf-8").startswith("picture,x_units,y_units,z_units,qw,")
 
 
 def test_a_folder_without_pictures_is_one_line_and_exit_code_2(

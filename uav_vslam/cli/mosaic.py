@@ -139,7 +139,7 @@ def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, re
     with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
         drawn = draw(found, counts, pixel_m, folder, on_view=advance)
     figures = output.quality(found) | {"overlap": overlap, "warnings": warnings} | drawn
-    output.write_poses(found, results / "poses.csv")
+    output.write_poses(found, results / "poses.csv", unit=frame.unit)
     write_json(results / "cameras.json", figures["cameras"])
     write_json(results / "mosaic.json", figures)
     return figures

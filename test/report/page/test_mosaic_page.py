@@ -36,8 +36,9 @@ def write_mosaic(folder: Path, **changes: object) -> Path:
     """Write a mosaic's results, but for its map."""
     folder.mkdir()
     (folder / "mosaic.json").write_text(json.dumps(FIGURES | changes))
+    axes = "x_m,y_m,z_m" if "scale" in changes else "x_units,y_units,z_units"
     (folder / "poses.csv").write_text(
-        "picture,x_m,y_m,z_m,qw,qx,qy,qz,points,reprojection_px\na.jpg,1.5,2.0,99.0,0,1,0,0,472,0.21\n"
+        f"picture,{axes},qw,qx,qy,qz,points,reprojection_px\na.jpg,1.5,2.0,99.0,0,1,0,0,472,0.21\n"
     )
     return folder
 

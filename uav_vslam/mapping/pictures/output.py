@@ -17,18 +17,24 @@ from uav_vslam.mapping.pictures.views import PictureViews
 
 Figures = dict[str, Any]
 
-POSES = ("picture", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "points", "reprojection_px")
+POSES = ("picture", "x_{unit}", "y_{unit}", "z_{unit}", "qw", "qx", "qy", "qz", "points", "reprojection_px")
 GEODETIC = ("latitude_deg", "longitude_deg", "altitude_m", "gps_distance_m")
 
 
-def write_poses(found: Reconstruction, path: Path) -> None:
-    """Write one row a picture: T_map_cam (optical axes), its points, and, with GPS, the position and GPS's distance."""
+def write_poses(found: Reconstruction, path: Path, *, unit: str) -> None:
+    """Write one row a picture: T_map_cam (optical axes), its points, and, with GPS, the position and GPS's distance.
+
+    Args:
+        found: the pictures' poses.
+        path: the CSV file.
+        unit: of the map's lengths, for the titles of the columns.
+    """
     scene, tracks, datum = found.adjusted.scene, found.adjusted.tracks, found.placement.datum
     error = np.linalg.norm(scene.residuals(tracks), axis=1)
     views = PictureViews(found.pictures, found.adjusted)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(POSES + (GEODETIC if datum else ()))
+        writer.writerow([title.format(unit=unit) for title in POSES + (GEODETIC if datum else ())])
         for number in found.adjusted.used.tolist():
             pose, own = views.pose(number), tracks.picture == number
             row = [found.pictures[number].name, *(f"{value:.4f}" for value in pose.t)]

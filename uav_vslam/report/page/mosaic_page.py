@@ -15,11 +15,11 @@ from uav_vslam.report.page.pictures import figure, photograph
 
 MOSAIC, POSES = "mosaic.json", "poses.csv"
 PICTURE_BYTES = {"orthomosaic": 3_000_000, "height": 400_000, "overlap": 400_000}
-COLUMNS = {  # of the table of poses, with their titles
+COLUMNS = {  # of poses.csv, with their titles
     "picture": "Picture",
-    "x_m": "x [{unit}]",
-    "y_m": "y [{unit}]",
-    "z_m": "z [{unit}]",
+    "x_{unit}": "x [{unit}]",
+    "y_{unit}": "y [{unit}]",
+    "z_{unit}": "z [{unit}]",
     "points": "Points",
     "reprojection_px": "Reprojection error [px]",
 }
@@ -77,11 +77,12 @@ def _quality(tree: dict[str, Any], folder: Path) -> Markup:
 
 def _pictures(path: Path, tree: dict[str, Any]) -> Markup:
     """Return the table of positions and errors, with the pictures that were left out below."""
+    unit = unit_of(tree["scale"])
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            poses = [[row[name] for name in COLUMNS] for row in csv.DictReader(file)]
+            poses = [[row[name.format(unit=unit)] for name in COLUMNS] for row in csv.DictReader(file)]
     except (OSError, ValueError, KeyError, csv.Error) as error:
         raise UavVslamError(f"{path} can't be read ({error}); make the mosaic again") from None
     left_out = [[name, "left out", *[""] * (len(COLUMNS) - 2)] for name in tree["left_out"]]
-    titles = [title.format(unit=unit_of(tree["scale"])) for title in COLUMNS.values()]
+    titles = [title.format(unit=unit) for title in COLUMNS.values()]
     return table(titles, [*poses, *left_out], caption="Positions and errors of the pictures")
