@@ -162,10 +162,11 @@ def _draw(grid: HeightGrid, overlap: Overlap, folder: Path, *, turned: bool) -> 
     from uav_vslam.report.height_picture import MAP, TURNED, height_picture, overlap_picture
     from uav_vslam.report.style import save
 
-    extent, frame = overlap.extent(grid), TURNED if turned else MAP
+    extent, count = overlap.count(grid)
+    frame = TURNED if turned else MAP
     figures: dict[str, Any] = {
         "height.png": height_picture(grid.height(extent), extent.bounds_m, frame),
-        "overlap.png": overlap_picture(overlap.count(grid, extent), extent.bounds_m, frame),
+        "overlap.png": overlap_picture(count, extent.bounds_m, frame),
     }
     for name, figure in figures.items():
         if figure is not None:

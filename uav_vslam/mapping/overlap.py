@@ -35,31 +35,27 @@ class Overlap:
         """Note where a view was taken."""
         self.views.append((view.camera, view.T_map_cam))
 
-    def extent(self, grid: HeightGrid) -> Raster:
-        """Return the smallest window that holds the grid's cells and all that the views show."""
+    def count(self, grid: HeightGrid) -> tuple[Raster, NDArray[np.uint16]]:
+        """Return how many views show each cell of the smallest window that holds the grid's and all that they show.
+
+        Returns:
+            The window, and (rows, columns) numbers of views, `MOST_VIEWS` at most.
+        """
         known = grid.extent
         if not self.views or known.rows == 0:
-            return known
-        height, ground_m = _without_gaps(grid.height(known))
-        west, south, east, north = known.bounds_m
-        half = 0.5 * grid.cell_m
-        corners = [np.array([[west + half, south + half], [east - half, north - half]])]
-        corners += [footprint(camera, pose, height, known, ground_m=ground_m) for camera, pose in self.views]
-        return Raster.covering(np.vstack(corners), grid.cell_m)
-
-    def count(self, grid: HeightGrid, raster: Raster) -> NDArray[np.uint16]:
-        """Return the (rows, columns) number of views that show each cell of a window, `MOST_VIEWS` at most."""
-        count = np.zeros(raster.shape, np.uint16)
-        if 0 in raster.shape:
-            return count
-        height, ground_m = _without_gaps(grid.height(raster))
-        for camera, T_map_cam in self.views:
-            seen = footprint(camera, T_map_cam, height, raster, ground_m=ground_m)
-            outline = Raster.covering(seen, raster.cell_m)
-            part = outline.intersection(raster)
-            cut = part.within(raster)
-            count[cut] += _shown(camera, T_map_cam, part, height[cut]) & (count[cut] < MOST_VIEWS)
-        return count
+            return known, np.zeros(known.shape, np.uint16)
+        level, ground_m = _without_gaps(grid.height(known))
+        seen = [footprint(camera, pose, level, known, ground_m=ground_m) for camera, pose in self.views]
+        window = known.union(Raster.covering(np.vstack(seen), grid.cell_m))
+        height = np.full(window.shape, ground_m, np.float32)
+        height[known.within(window)] = level
+        count = np.zeros(window.shape, np.uint16)
+        for camera, pose in self.views:
+            outline = Raster.covering(footprint(camera, pose, height, window, ground_m=ground_m), grid.cell_m)
+            part = outline.intersection(window)
+            cut = part.within(window)
+            count[cut] += _shown(camera, pose, part, height[cut]) & (count[cut] < MOST_VIEWS)
+        return window, count
 
     def gsd_m(self, ground_m: float) -> float:
         """Return the median size of a pixel on ground of a height [m]; NaN without views."""

@@ -21,8 +21,8 @@ def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) ->
         overlap: of all views.
         views: their number by vehicle.
     """
-    extent = overlap.extent(grid)
-    shown = overlap.count(grid, extent) > 0
+    extent, counts = overlap.count(grid)
+    shown = counts > 0
     covered = filled = 0
     sigmas, heights = [], []
     for part in grid.parts(extent):

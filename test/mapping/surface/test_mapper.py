@@ -62,8 +62,7 @@ def test_hills_are_recovered_and_sigma_is_honest(flight: tuple[HeightGrid, Surfa
 
 def test_nearly_all_that_the_views_show_is_mapped(flight: tuple[HeightGrid, SurfaceMapper, Overlap]) -> None:
     grid, _, overlap = flight
-    raster = overlap.extent(grid)
-    shown = overlap.count(grid, raster)
+    raster, shown = overlap.count(grid)
     known = np.isfinite(grid.height(raster))
     assert known[shown > 1].mean() > 0.95  # one view alone has no depth
     assert known[shown > 2].mean() > 0.98
@@ -73,8 +72,8 @@ def test_nearly_all_that_the_views_show_is_mapped(flight: tuple[HeightGrid, Surf
 def test_banked_views_are_mapped_beside_the_strip() -> None:
     banks = [0.0] * 5 + [15.0] * 2 + [0.0] * 5
     grid, _, overlap = mapped([view(k, 2.0, bank) for k, bank in enumerate(banks)])
-    raster = overlap.extent(grid)
-    shown, known = overlap.count(grid, raster), np.isfinite(grid.height(raster))
+    raster, shown = overlap.count(grid)
+    known = np.isfinite(grid.height(raster))
     assert known[shown > 1].mean() > 0.9
     error, sigma = errors(grid, 2.0)
     assert np.median(np.abs(error) / sigma) < 1.0
@@ -164,7 +163,7 @@ def test_colour_is_mapped_like_its_grey() -> None:
 
 def test_the_footprint_count_is_that_of_the_geometry() -> None:
     grid, _, overlap = mapped([view(k, 0.0) for k in range(6)])
-    count = overlap.count(grid, overlap.extent(grid))
+    _, count = overlap.count(grid)
     camera = view(0).camera
     area = (camera.width / camera.fx) * (camera.height / camera.fy) * ALTITUDE_M**2
     assert count.sum() == pytest.approx(6 * area, rel=0.03)
@@ -178,7 +177,6 @@ def test_a_cell_that_is_seen_ever_again_does_not_start_from_zero(
     flight: tuple[HeightGrid, SurfaceMapper, Overlap], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grid, _, overlap = flight
-    raster = overlap.extent(grid)
-    full = overlap.count(grid, raster)
+    _, full = overlap.count(grid)
     monkeypatch.setattr(overlap_module, "MOST_VIEWS", 3)
-    np.testing.assert_array_equal(overlap.count(grid, raster), np.minimum(full, 3))
+    np.testing.assert_array_equal(overlap.count(grid)[1], np.minimum(full, 3))
