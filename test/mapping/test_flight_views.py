@@ -9,8 +9,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.mapping.flight_views import flight_views
-from uav_vslam.mapping.late_poses import LatePoses
+from uav_vslam.mapping.flight_views import LeftCamera, flight_views
 from uav_vslam.mapping.undistortion import Undistorter
 from uav_vslam.simulation.rig import kagaru_rig
 
@@ -89,7 +88,5 @@ def test_colour_stays_and_sixteen_bits_become_eight() -> None:
 def test_an_image_of_another_size_than_the_calibration_is_refused(model: str, shape: tuple[int, ...]) -> None:
     lens = {} if model == "none" else {"distortion": LENSES[model], "model": model}
     rig = dataclasses.replace(RIG, left=dataclasses.replace(RIG.left, **lens))
-    late = LatePoses("uav1", rig)
-    late.add_image(1, np.zeros(shape, np.uint8))
     with pytest.raises(InvalidMessage, match=r"left image is .* px but its calibration is for \(320, 240\) px"):
-        late.add_pose(1, POSES[1])
+        LeftCamera("uav1", rig).view(1, np.zeros(shape, np.uint8), POSES[1])

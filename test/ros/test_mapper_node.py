@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from lone_node import deliver, lone_node  # noqa: E402
@@ -24,7 +25,7 @@ from uav_vslam.mapping.flown_map import UNSEEN_GREY  # noqa: E402
 from uav_vslam.mapping.surface.grid import HeightGrid  # noqa: E402
 from uav_vslam.mapping.surface.mapper import SurfaceMapper  # noqa: E402
 from uav_vslam.ros.convert import flat, header, navigation_to_msg, pose_with_covariance_to_msg, transform_to_msg  # noqa: E402
-from uav_vslam.ros.mapper_node import MAX_WAITING, MapperNode  # noqa: E402
+from uav_vslam.ros.mapper_node import MapperNode  # noqa: E402
 from uav_vslam.ros.qos import LATCHED  # noqa: E402
 from uav_vslam.types import NavEstimate, NavState, PoseEstimate  # noqa: E402
 from waiting import wait_for  # noqa: E402
@@ -181,18 +182,45 @@ def test_images_and_poses_without_a_partner_are_counted(make: Make) -> None:
     assert node.counts["views"] == 1
 
 
-@pytest.mark.parametrize("too_many", [0, 2])
-def test_images_wait_for_the_calibration(make: Make, too_many: int) -> None:
+def test_images_wait_for_the_calibration(make: Make) -> None:
     """The first one may come with it, in any order: none is lost in a healthy start."""
     node = make()
-    for k in range(MAX_WAITING + too_many):
+    for k in range(VIEWS):
         show(node, k)
-    assert node.counts["dropped/no_calibration"] == too_many
     calibrate(node)
-    for k in range(too_many, MAX_WAITING + too_many):
+    for k in range(VIEWS):
         locate(node, k)
-    assert node.counts["views"] == MAX_WAITING
-    assert node.counts["dropped/image_without_pose"] == node.counts["dropped/pose_without_image"] == 0
+    assert node.counts["views"] == VIEWS
+    assert not any(name.startswith("dropped/") and count for name, count in node.counts.items())
+
+
+def test_a_pose_before_the_calibration_is_dropped(make: Make) -> None:
+    node = make()
+    show(node, 0)
+    locate(node, 0)
+    assert node.counts["dropped/no_calibration"] == 1
+    calibrate(node)
+    fly(node, range(1, VIEWS))
+    assert node.counts["views"] == VIEWS - 1
+
+
+def test_a_calibration_from_files_alone_makes_a_map(make: Make, tmp_path: Path) -> None:
+    camera = {
+        "camera_model": "pinhole",
+        "intrinsics": [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy],
+        "distortion_model": "radtan",
+        "distortion_coeffs": [0.0] * 4,
+        "resolution": [CAMERA.width, CAMERA.height],
+    }
+    beside = Pose(np.eye(3), np.array([0.0, -0.8, 0.0]))
+    chain = {
+        "cam0": camera | {"T_cam_imu": T_BODY_LEFT.inverse().matrix.tolist()},
+        "cam1": camera | {"T_cn_cnm1": beside.matrix.tolist()},
+    }
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
+    node = make(f"input.calibration:=[{tmp_path / 'camchain.yaml'}]")
+    fly(node, range(VIEWS))
+    assert node.counts["views"] == VIEWS
 
 
 def test_a_folder_that_holds_a_map_is_refused(make: Make, tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ class RigListener:
     A calibration that changes afterwards is a failure of the node, and used only after `restart`.
     """
 
-    def __init__(self, node: VehicleNode, on_complete: Callable[[], None]) -> None:
+    def __init__(self, node: VehicleNode, on_complete: Callable[[], None] = lambda: None) -> None:
         self._node, self._on_complete = node, lambda: None
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self.rig: StereoRig | None = None

@@ -13,7 +13,6 @@ out  map/surface                                     sensor_msgs/PointCloud2, la
 
 import itertools
 import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,10 +24,11 @@ from visualization_msgs.msg import Marker
 
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.datasets.unfinished import require_place
-from uav_vslam.errors import UavVslamError
+from uav_vslam.errors import InvalidMessage, UavVslamError
+from uav_vslam.mapping.flight_views import LeftCamera
 from uav_vslam.mapping.flown_map import FlownMap
-from uav_vslam.mapping.late_poses import LatePoses
 from uav_vslam.mapping.triangles import surface_triangles
+from uav_vslam.mapping.waiting_images import WaitingImages
 from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import cloud_to_msg, header, image_from_msg, pose_from_msg
@@ -40,7 +40,6 @@ from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam_msgs.msg import NavigationState
 
 MESH_STEP_M = 2.0  # sides of the triangles that are published
-MAX_WAITING = 10  # images held until the calibration is known
 MOST_BUSY = 0.1  # share of the time that publishing the map may take
 COLOUR = ColorRGBA(r=0.55, g=0.6, b=0.45, a=1.0)
 
@@ -52,13 +51,13 @@ class MapperNode(VehicleNode):
         super().__init__("mapper")
         self._map = self._new_map(beside=self.own.resume)
         self._published_pairs, self._idle_until_s = 0, 0.0
-        self._late: LatePoses | None = None
-        self._early: deque[Image | CompressedImage] = deque()  # which wait for the calibration
+        self._images = WaitingImages()
+        self._camera: LeftCamera | None = None  # once the calibration is known
         self._stamp_ns = 0
         self._start_ns: int | None = None  # of the start in flight that the map begins with
         self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
         self._mesh = self.advertise(Marker, "map/mesh", LATCHED)
-        self._rig = RigListener(self, self._on_rig)
+        self._rig = RigListener(self)
         topic = self.config.input.topics.left
         for kind, name in image_topics(self, topic).items():
             self.listen(kind, name, self._on_image, IMAGES, instead_of=topic)
@@ -83,9 +82,7 @@ class MapperNode(VehicleNode):
         """Begin another map, in a folder beside the present one, which is saved."""
         self._replace_map(self._new_map(beside=True))  # before anything has ended: it may be refused
         self._rig.restart()
-        self._early.clear()
-        self._late = None
-        self._on_rig()
+        self._images, self._camera = WaitingImages(), None
 
     def destroy_node(self) -> None:
         """Save the whole map, then destroy the node."""
@@ -113,30 +110,20 @@ class MapperNode(VehicleNode):
             self._note_save(self._finish)
         self._map.close()
 
-    def _on_rig(self) -> None:
-        if self._rig.rig is not None and self._late is None:
-            self._late = LatePoses(self.vehicle, self._rig.rig)
-            while self._early:
-                self._on_image(self._early.popleft())
-
     def _on_image(self, message: Image | CompressedImage) -> None:
-        if self._late is None:
-            self._early.append(message)
-            if len(self._early) > MAX_WAITING:
-                self._early.popleft()
-                self.counts[f"{DROPPED}no_calibration"] += 1
-            return
-        self._late.add_image(stamp_ns_of(message) + self._rig.time_offset_ns, image_from_msg(message))
+        self._images.add(stamp_ns_of(message) + self._rig.time_offset_ns, image_from_msg(message))
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
-        if self._late is None:
-            return
+        if self._rig.rig is None:
+            raise InvalidMessage("no_calibration", f"poses arrive, but {self._rig.missing}")
+        self._camera = self._camera or LeftCamera(self.vehicle, self._rig.rig)
         self._stamp_ns = stamp_ns_of(message)
-        view = self._late.add_pose(self._stamp_ns, pose_from_msg(message.pose.pose))
-        self.counts[f"{DROPPED}image_without_pose"] = self._late.dropped
-        if view is None:
+        pixels = self._images.take(self._stamp_ns)
+        self.counts[f"{DROPPED}image_without_pose"] = self._images.dropped
+        if pixels is None:
             self.counts[f"{DROPPED}pose_without_image"] += 1
             return
+        view = self._camera.view(self._stamp_ns, pixels, pose_from_msg(message.pose.pose))
         try:
             self._map.add(view)
         except OSError as error:  # tiles are written to make room for others
