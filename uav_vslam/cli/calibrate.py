@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import add_results, length_m, positive
-from uav_vslam.cli.messages import warn_each
+from uav_vslam.cli.messages import say, warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"use it:  input: {{calibration: [{', '.join(str(file.resolve()) for file in files[:2])}]}}")
     warn_each(found.warnings)
     if read.error:
-        print(f"uav-vslam: calibrated up to a break: {read.error}", file=sys.stderr)
+        say(f"calibrated up to a break: {read.error}")
     return 2 if read.error else 0
 
 

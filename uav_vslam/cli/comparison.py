@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.messages import warn
+from uav_vslam.cli.messages import say, warn
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.comparison import Figures, PairedRun, Run
@@ -97,6 +96,4 @@ def _report_offsets(runs: list[PairedRun], tree: Figures, given_s: float) -> Non
 def _report_partial(run: PairedRun) -> None:
     found, poses = len(run.estimate), len(run.run.estimate)
     if found < poses:
-        print(
-            f"uav-vslam: {run.run.label}: {found} of {poses} poses have ground truth; only they count", file=sys.stderr
-        )
+        say(f"{run.run.label}: {found} of {poses} poses have ground truth; only they count")

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import non_negative
-from uav_vslam.cli.messages import warn
+from uav_vslam.cli.messages import say, warn
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.datasets.cut_options import CutOptions, add_cut_arguments, cut_options
 from uav_vslam.errors import UavVslamError
@@ -82,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         count, first = len(unread.messages), next(iter(unread.messages.values()))
         warn(f"{count} messages can't be read and are left out, images with their pair; the first: {first}")
     if unread.damage:
-        print(f"uav-vslam: cut from what is before a break: {unread.damage}", file=sys.stderr)
+        say(f"cut from what is before a break: {unread.damage}")
     return 2 if unread.damage else 0
 
 

@@ -6,12 +6,12 @@ from __future__ import annotations
 import argparse
 import re
 import signal
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 from uav_vslam.cli.arguments import MODES, add_results
+from uav_vslam.cli.messages import say
 
 HELP = "replay two vehicles' sample recordings through the node graph and report"
 EXAMPLES = """examples:
@@ -68,7 +68,7 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
         return code
     if code != 0:
         hint = "; see --verbose" if args.keep is None else f"; each process's output is in {folder / 'log'}"
-        print(f"uav-vslam: the node graph failed (exit code {code}){hint}", file=sys.stderr)
+        say(f"the node graph failed (exit code {code}){hint}")
         return code
     return evaluate(
         [estimates, *fleet.replay.bags],

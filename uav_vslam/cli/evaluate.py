@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,7 +119,7 @@ def evaluate(
         draws: also draw plots and the page.
         wall_s: time that the run took [s]; 0 if it is not known.
     """
-    from uav_vslam.cli.messages import warn_each, warn_of_truth
+    from uav_vslam.cli.messages import say, warn_each, warn_of_truth
     from uav_vslam.cli.progress import progress_bar
     from uav_vslam.datasets.outputs import messages_to_read, read_outputs
     from uav_vslam.datasets.recorded_result import flight_result
@@ -148,5 +147,5 @@ def evaluate(
     warn_each(f"{vehicle}: {text}" for vehicle, recorded in outputs.items() for text in recorded.warnings)
     warn_of_truth(result, {name: vehicle.truth for name, vehicle in result.vehicles.items()})
     if damage is not None:
-        print(f"uav-vslam: evaluated up to a break: {damage}", file=sys.stderr)
+        say(f"evaluated up to a break: {damage}")
     return 0 if damage is None else 2

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES
-from uav_vslam.cli.messages import warn
+from uav_vslam.cli.messages import say, warn
 
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
@@ -239,7 +238,7 @@ def _remove_leftovers() -> None:
     removed = remove_leftovers()
     size_mb = removed.size_bytes / 1e6
     if size_mb >= 0.5:  # not "0 MB"
-        print(f"uav-vslam: {size_mb:.0f} MB of {FOLDER} that killed processes had left are free again", file=sys.stderr)
+        say(f"{size_mb:.0f} MB of {FOLDER} that killed processes had left are free again")
 
 
 def _warn_without_key(fleet: FleetConfig) -> None:
@@ -250,4 +249,4 @@ def _warn_without_key(fleet: FleetConfig) -> None:
     if names:
         who = "the vehicles have" if len(names) == len(fleet.vehicles) else f"{', '.join(names)} has"
         risk = "whoever is on the radio can send packets in their names"
-        print(f"uav-vslam: {who} no key: {risk} (uav-vslam keys --help)", file=sys.stderr)
+        say(f"{who} no key: {risk} (uav-vslam keys --help)")

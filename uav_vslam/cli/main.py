@@ -19,7 +19,7 @@ from types import FrameType, ModuleType
 from typing import Any
 
 from uav_vslam import __version__
-from uav_vslam.cli.messages import DISK_FULL
+from uav_vslam.cli.messages import DISK_FULL, say
 from uav_vslam.errors import UavVslamError, WorkerEnded
 from uav_vslam.memory import keep_freed_memory
 
@@ -113,23 +113,23 @@ def _run(arguments: list[str]) -> int:
             args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
         return int(args.run(args))
     except UavVslamError as error:
-        print(f"uav-vslam: {error}", file=sys.stderr)
+        say(f"{error}")
         return FAILURE if isinstance(error, WorkerEnded) else WRONG_INPUT
     except BrokenPipeError:  # the reader closed the pipe; Python would raise again while it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except MemoryError as error:
         why = f" ({error})" if str(error) else ""
-        print(f"uav-vslam: not enough memory{why}; a map takes less with larger --cell, --pixel", file=sys.stderr)
+        say(f"not enough memory{why}; a map takes less with larger --cell, --pixel")
         return FAILURE
     except OSError as error:
         if error.errno in DISK_FULL:
             where = f"{error.filename}: " if error.filename else ""
-            print(f"uav-vslam: {where}{error.strerror}; make room, or write to another disk", file=sys.stderr)
+            say(f"{where}{error.strerror}; make room, or write to another disk")
             return FAILURE
         if error.filename is None:
             raise
-        print(f"uav-vslam: {error.filename}: {error.strerror}; check the path and its permissions", file=sys.stderr)
+        say(f"{error.filename}: {error.strerror}; check the path and its permissions")
         return WRONG_INPUT
 
 

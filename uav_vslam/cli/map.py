@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uav_vslam.cli.arguments import add_datum, datum_of, positive_number
-from uav_vslam.cli.messages import warn
+from uav_vslam.cli.messages import say, warn
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.run import add_options, flown
 
@@ -105,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.no_plots:
         print(f"page: {write_page([folder])}")
     if cells == 0:
-        print("uav-vslam: nothing was mapped: no two views show the surface below the cameras", file=sys.stderr)
+        say("nothing was mapped: no two views show the surface below the cameras")
     return code if cells else max(code, 1)
 
 

@@ -16,9 +16,14 @@ if TYPE_CHECKING:
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
+def say(text: str) -> None:
+    """Print a line."""
+    print(f"uav-vslam: {text}", file=sys.stderr)
+
+
 def warn(text: str) -> None:
     """Print a warning."""
-    print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    say(f"warning: {text}")
 
 
 def warn_each(texts: Iterable[str]) -> None:

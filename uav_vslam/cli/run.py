@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES, add_results, positive
-from uav_vslam.cli.messages import warn, warn_each, warn_of_truth
+from uav_vslam.cli.messages import say, warn, warn_each, warn_of_truth
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -194,18 +194,15 @@ def _draw(
 
 def _report_offset(flight: BagFlight) -> None:
     """Print how far apart the stamps of image pairs are, if they are not the same but still make pairs."""
-    import sys
-
     import numpy as np
 
     from uav_vslam.datasets.stereo_sync import NOTABLE_OFFSET_NS
 
     apart, tolerance_ns = flight.stamps_apart_ns(FIRST_FRAMES), flight.pair_tolerance_ns(FIRST_FRAMES)
     if len(apart) and NOTABLE_OFFSET_NS < np.median(apart) <= tolerance_ns:
-        print(
-            f"uav-vslam: {flight.vehicle}: left and right images are stamped {np.median(apart) / 1e6:.1f} ms apart and "
-            f"count as simultaneous (tolerance {tolerance_ns / 1e6:.1f} ms, input.pair_tolerance_s)",
-            file=sys.stderr,
+        say(
+            f"{flight.vehicle}: left and right images are stamped {np.median(apart) / 1e6:.1f} ms apart and count as "
+            f"simultaneous (tolerance {tolerance_ns / 1e6:.1f} ms, input.pair_tolerance_s)"
         )
 
 
