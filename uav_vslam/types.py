@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records that stages exchange; each has a message of the same content, from `uav_vslam_msgs` or a standard package.
+"""Records that stages exchange, mostly as messages of the same content, from `uav_vslam_msgs` or a standard package.
 
 Frames: `map` is the vehicle's local ENU frame (z up, gravity along -z), shared by a fleet that starts from a common
-origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the recording. Records are immutable.
+origin; `body` is FLU, the vehicle's base frame, to which IMU readings are moved. Stamps are nanoseconds since
+the epoch of the recording. Records are immutable.
 """
 
 import math

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of ROS messages, from a bag or rclpy: stamps, xyzw quaternions and flat arrays are read only here."""
+"""Records of the ROS messages that bags hold, built by rosbags or rclpy; those of nodes alone are in `ros.convert`."""
 
 import dataclasses
 import struct

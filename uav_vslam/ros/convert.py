@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between messages and records: the only place with ROS stamps, xyzw quaternions and flat arrays.
+"""Conversion between messages and records; of messages that bags hold as well, `datasets.messages` makes the records.
 
 Large arrays go into messages through `array.array`, which rclpy copies as bytes; a list or an ndarray is copied element
 by element. Every `*_from_msg` checks what it reads and raises `InvalidMessage`.

@@ -23,6 +23,7 @@ from typing import Any
 import yaml
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock as ClockMsg
 from tf2_msgs.msg import TFMessage
@@ -93,7 +94,7 @@ class ReplayNode(Node):
     def _lockstep(self) -> bool:
         return self._config.rate == 0
 
-    def _advertise(self, topic: str):
+    def _advertise(self, topic: str) -> Publisher:
         package, _, name = self._recording.topics[topic].msgtype.split("/")
         try:
             message_type = getattr(import_module(f"{package}.msg"), name)
