@@ -109,7 +109,6 @@ class TimeLine(Generic[T]):
     Attributes:
         refused: items refused, by reason.
         refusal: the last one, in words.
-        jumps: how many were followed.
     """
 
     def __init__(
@@ -142,7 +141,6 @@ class TimeLine(Generic[T]):
         self._least, self._arrivals = least, 0
         self.refused: Counter[str] = Counter()
         self.refusal = ""
-        self.jumps = 0
 
     def restart(self) -> None:
         """Forget all stamps: the next ones are on the time line."""
@@ -235,7 +233,6 @@ class TimeLine(Generic[T]):
 
     def _moved(self) -> list[tuple[str, T]]:
         """Go on at the new stamps, and return what was held, in order of arrival."""
-        self.jumps += 1
         held = [(number, name, item) for name, s in self._streams.items() for number, _, item in s.run]
         for stream in self._streams.values():
             if stream.run:

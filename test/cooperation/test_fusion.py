@@ -145,7 +145,7 @@ def test_a_peers_packet_reduces_the_uncertainty_of_the_pose(own, peer_packet) ->
     epoch = fuse(own, peer_packet())
     assert np.trace(epoch.pose.covariance[:3, :3]) < 0.7 * np.trace(epoch.own.covariance[:3, :3])
     assert np.linalg.norm(epoch.pose.T_map_body.t - own.T_map_body.t) > 0.1
-    assert epoch.matched_ids == frozenset(own.ids.tolist())
+    assert epoch.common == {"uav2": COUNT}
 
 
 def test_the_same_source_in_two_packets_is_not_counted_twice(own, peer_packet) -> None:
@@ -284,7 +284,6 @@ def test_a_peer_that_sees_other_landmarks_changes_nothing(make_joint, own) -> No
     epoch = fuse(own, make_packet(other, sequence=1, policy=PacketPolicy(max_landmarks=COUNT)))
     assert epoch.common == {"uav2": 0}
     np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
-    assert epoch.matched_ids == frozenset()
 
 
 def test_a_belief_without_landmarks_stays_its_own(make_joint, peer_packet) -> None:
@@ -512,7 +511,8 @@ def test_invalid_feedback_changes_nothing(own, peer_packet, wrong: str) -> None:
 def test_what_was_shared_is_forgotten_with_the_session_that_numbered_it(own, peer_packet) -> None:
     fusion = Fusion("uav1", EXACT)
     fusion.inbox.add(peer_packet())
-    assert fusion.fuse(own).matched_ids
+    fusion.fuse(own)
+    assert fusion._shared == set(own.ids.tolist())
     again = dataclasses.replace(own, session=2, stamp_ns=NOW_NS + 10**9, descriptors=255 - own.descriptors)
     fusion.fuse(again)
     assert not fusion._shared

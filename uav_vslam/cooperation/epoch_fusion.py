@@ -90,7 +90,6 @@ class EpochFusion:
             covariance=total,
             weight=self._weight,
             common=self.common,
-            matched_ids=frozenset(self.matched),
             sources=frozenset(self.sources),
             frames=self._frames,
             map_landmarks=self.map_landmarks,

@@ -30,7 +30,6 @@ class FusedEpoch:
         covariance: (6+3N, 6+3N) of position, rotation and landmarks.
         weight: smallest weight of the own information; 1 if all packets were independent.
         common: number of common landmarks used, by peer.
-        matched_ids: own landmarks that some peer shares.
         sources: "vehicle/session" whose measurements are fused.
         frames: estimated frames of peers without a common origin.
         map_landmarks: landmarks shared with the loaded map.
@@ -43,7 +42,6 @@ class FusedEpoch:
     covariance: Array
     weight: float
     common: dict[str, int]
-    matched_ids: frozenset[int]
     sources: frozenset[str]
     frames: dict[str, FrameEstimate]
     map_landmarks: int = 0
