@@ -113,7 +113,7 @@ def _run(arguments: list[str]) -> int:
             args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
         return int(args.run(args))
     except UavVslamError as error:
-        say(f"{error}")
+        say(str(error))
         return FAILURE if isinstance(error, WorkerEnded) else WRONG_INPUT
     except BrokenPipeError:  # the reader closed the pipe; Python would raise again while it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
