@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A chunk of an mcap file whose bytes have changed is noticed, named, and costs itself alone."""
+"""Bytes of an mcap file that have changed are noticed and named; a chunk costs itself alone, the index nothing."""
 
 from pathlib import Path
 
@@ -10,7 +10,8 @@ from mcap.writer import CompressionType, Writer
 
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import RawMessage
-from uav_vslam.datasets.rosbag import iter_raw
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
+from uav_vslam.datasets.unindexed_mcap import END
 from uav_vslam.errors import BagError
 
 MESSAGE = ("/uav1/data", "std_msgs/msg/UInt8MultiArray")
@@ -75,3 +76,19 @@ def test_a_damaged_chunk_of_a_truncated_file_ends_it(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="is damaged: read up to the damage"):
         read.extend(iter_raw([file]))
     assert [raw.data for raw in read] == [raw.data for raw in messages(60) if raw.stamp_ns < chunk.message_start_time]
+
+
+@pytest.mark.parametrize("by", ["ours", "ZSTD"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 0.98])
+def test_a_damaged_index_costs_nothing_and_is_named(share: float, by: str, tmp_path: Path) -> None:
+    file = record(tmp_path / "bag", by)
+    data, expected = bytearray(file.read_bytes()), topics_of([file])
+    start, _, _, _ = END.unpack_from(data, len(data) - END.size)
+    data[start + int(share * (len(data) - start))] ^= 0x10
+    file.write_bytes(data)
+    for bag in (file, file.parent):
+        read: list[RawMessage] = []
+        with pytest.raises(BagError, match=r"is damaged: .*\(all messages are there, but the index after them"):
+            read.extend(iter_raw([bag]))
+        assert [(raw.stamp_ns, raw.data) for raw in read] == [(raw.stamp_ns, raw.data) for raw in messages(60)]
+        assert topics_of([bag]) == expected

@@ -27,7 +27,7 @@ from uav_vslam.datasets.cdr import definition, require_type
 from uav_vslam.datasets.mcap_writer import Writer
 from uav_vslam.datasets.retrying_file import RetryingFile
 from uav_vslam.datasets.rosbag import require_sqlite_path
-from uav_vslam.datasets.truncated_mcap import readable_messages
+from uav_vslam.datasets.unindexed_mcap import readable_messages
 from uav_vslam.errors import BagError
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}

@@ -19,7 +19,7 @@ from uav_vslam.datasets.bag_reader import Reader
 from uav_vslam.datasets.cdr import RawMessage, encode, typestore
 from uav_vslam.datasets.compressed_bag import compressed_files, given_as, unpacked
 from uav_vslam.datasets.foreign_mcap import what_is_foreign
-from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
+from uav_vslam.datasets.unindexed_mcap import lacks_index, readable_messages
 from uav_vslam.errors import BagError, one_line
 
 Item = TypeVar("Item")
@@ -73,8 +73,8 @@ def topics_of(paths: Sequence[Path]) -> Topics:
     """
     topics = Topics()
     for file in _files(paths):
-        if is_truncated(file):
-            _survey_truncated_file(file, topics)
+        if lacks_index(file):
+            _survey_unindexed_file(file, topics)
         elif file.suffix == ros1_bag.SUFFIX:
             _survey_ros1_file(file, topics)
         else:
@@ -180,7 +180,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
             if real in owners:
                 raise BagError(f"bag {given} holds what {owners[real]} holds, {real.name}: give each recording once")
             owners[real] = given
-        whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_truncated, files_inside))
+        whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(lacks_index, files_inside))
         files += [path] if whole else files_inside
     return files
 
@@ -198,7 +198,7 @@ def _survey_whole_file(file: Path, topics: Topics) -> None:
 
 def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
     last_ns: int | None = None
-    read = _messages_of_truncated_file if is_truncated(file) else _messages_of_whole_file
+    read = _messages_of_unindexed_file if lacks_index(file) else _messages_of_whole_file
     read = _messages_of_ros1_file if file.suffix == ros1_bag.SUFFIX else read
     try:
         for raw in read(file, topics):
@@ -282,18 +282,18 @@ def _open(file: Path, stack: ExitStack) -> Reader:
         raise _damage(file, None, error) from None
 
 
-def _messages_of_truncated_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+def _messages_of_unindexed_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
     for raw in readable_messages(file):
         topic = _full_name(raw.topic)
         if topics is None or topic in topics:
             yield raw if topic == raw.topic else replace(raw, topic=topic)
 
 
-def _survey_truncated_file(file: Path, topics: Topics) -> None:
+def _survey_unindexed_file(file: Path, topics: Topics) -> None:
     raw = None
     try:
         for raw in readable_messages(file):
             topics.count(raw.topic, raw.msgtype, 1, latched=raw.topic.endswith(("tf_static", "initial_state")))
-    except Exception as error:  # a truncated file always ends in one
+    except Exception as error:  # reading always ends in one
         if raw is None:
             raise _damage(file, None, error) from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a truncated mcap file, which lacks the index that ordinary readers need.
+"""Reads an mcap file that is truncated or has a damaged index, which ordinary readers need.
 
 Format: https://mcap.dev/spec. A file is magic bytes and records; a record is an opcode (1 byte), a length (8 bytes) and
 a payload. Messages, and the schemas and channels they refer to, are in chunks, which may be compressed.
@@ -8,7 +8,9 @@ a payload. Messages, and the schemas and channels they refer to, are in chunks, 
 import struct
 from collections.abc import Iterator
 from io import BytesIO
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
+from zlib import crc32
 
 from mcap.data_stream import ReadDataStream
 from mcap.records import Channel, Chunk, Schema
@@ -18,26 +20,33 @@ from uav_vslam.datasets.cdr import RawMessage
 from uav_vslam.datasets.foreign_mcap import is_of_ros2
 
 MAGIC = b"\x89MCAP0\r\n"
-SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
+SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQI")  # first stamp, last stamp, size, checksum; then the compression's name
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, recording stamp, publishing stamp
+END = struct.Struct("<QQI8s")  # where the index begins, and its own one; checksum from there to here; magic bytes
+CHECKSUM = slice(-len(MAGIC) - 4, -len(MAGIC))  # of the index, in a file
 
 
-def is_truncated(file: Path) -> bool:
-    """Return whether a file is an mcap file without its end."""
+def lacks_index(file: Path) -> bool:
+    """Return whether a file is an mcap file without its end, or with an index that its checksum contradicts."""
     if file.suffix != ".mcap" or not file.is_file():
         return False
-    with file.open("rb") as stream:
-        stream.seek(max(0, file.stat().st_size - len(MAGIC)))
-        return stream.read() != MAGIC
+    if file.stat().st_size < END.size:
+        return True
+    with file.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as data:
+        start, _, checksum, magic = END.unpack_from(data, len(data) - END.size)
+        if magic != MAGIC or not checksum:  # zero: none was written
+            return bool(magic != MAGIC)
+        with memoryview(data) as whole, whole[start : CHECKSUM.start] as index:
+            return crc32(index) != checksum
 
 
 def readable_messages(file: Path) -> Iterator[RawMessage]:
     """Yield every complete message of ROS 2 in file order, then raise.
 
     Raises:
-        EOFError: always, where the file ends.
+        EOFError: always, where the file or its messages end.
         ValueError: not an mcap file.
     """
     schemas: dict[int, Schema] = {}
@@ -70,6 +79,8 @@ def _records(file: Path) -> Iterator[tuple[int, bytes]]:
             opcode, length = RECORD_HEAD.unpack(head)
             payload = stream.read(length)
             whole = len(payload) == length
+            if opcode == DATA_END:
+                raise EOFError("all messages are there, but the index after them is damaged")
             if opcode == CHUNK:
                 yield from _chunk_records(payload, whole=whole)
             elif whole:
