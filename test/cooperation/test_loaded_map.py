@@ -128,7 +128,7 @@ def test_the_map_itself_adds_to_an_independent_start_and_is_intersected_with_a_d
     own = belief("uav1", np.zeros(3), rng, **(prior if started_in_it else {"prior_id": "", "other_sources": ()}))
     epoch = fuse(own, loaded=loaded, mode="none")
     assert epoch.map_landmarks >= COUNT // 2
-    assert epoch.matched_ids == frozenset()  # nothing that a peer shares
+    assert epoch.common == {}  # nothing that a peer shares
     assert is_dependent(epoch) is started_in_it
 
 

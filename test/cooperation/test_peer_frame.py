@@ -75,8 +75,10 @@ def test_feedback_in_a_frame_that_was_found_is_used_until_the_frame_is_forgotten
     here.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy()))
     here.fuse(own)
     here.inbox.peers["uav2"].packets.clear()
-    assert not here.fuse(own).matched_ids
+    assert here.fuse(own).sources == set(own.sources)
     here.returned.add(there.feedback("uav1"))
-    assert len(here.fuse(own).matched_ids) > 10
+    assert here.fuse(own).sources > set(own.sources)
+    assert here.returned.peers["uav2"].common_landmarks > 10
     here.frame("uav2")._link._reset("contradicted")
-    assert not here.fuse(own).matched_ids
+    assert here.fuse(own).sources == set(own.sources)
+    assert here.returned.peers["uav2"].common_landmarks == 0

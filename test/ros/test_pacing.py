@@ -16,7 +16,7 @@ TOPICS = ("odometry", "fused/odometry")
 
 
 def message(vehicle: str, kind: Kind, stamp_ms: int) -> Recorded:
-    return Recorded(f"/{vehicle}/{kind.name.lower()}", "x", vehicle, kind, stamp_ms * MS)
+    return Recorded(f"/{vehicle}/{kind.name.lower()}", vehicle, kind, stamp_ms * MS)
 
 
 def flight(vehicle: str, *, frames: range, imu: range) -> list[Recorded]:

@@ -85,7 +85,6 @@ class EpochFusion:
         return FusedEpoch(
             own=PoseEstimate(joint.stamp_ns, joint.T_map_body, self._own_covariance),
             pose=PoseEstimate(joint.stamp_ns, self._T_map_body, total[:POSE_DIM, :POSE_DIM]),
-            ids=joint.ids,
             positions=self.positions,
             covariance=total,
             weight=self._weight,

@@ -26,7 +26,7 @@ class FusedEpoch:
     Attributes:
         own: own-only pose at the epoch.
         pose: fused pose.
-        ids, positions: (N,) and (N, 3) fused landmarks [m].
+        positions: (N, 3) fused landmarks, in the order of the own belief [m].
         covariance: (6+3N, 6+3N) of position, rotation and landmarks.
         weight: smallest weight of the own information; 1 if all packets were independent.
         common: number of common landmarks used, by peer.
@@ -37,7 +37,6 @@ class FusedEpoch:
 
     own: PoseEstimate
     pose: PoseEstimate
-    ids: NDArray[np.uint32]
     positions: Array
     covariance: Array
     weight: float

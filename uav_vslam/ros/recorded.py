@@ -38,7 +38,7 @@ class Recorded:
     """A message of a recording.
 
     Attributes:
-        topic, message_type: as recorded ("/uav1/imu/data_raw", "sensor_msgs/msg/Imu").
+        topic: as recorded ("/uav1/imu/data_raw").
         vehicle: its namespace without slashes; "" for topics of the whole fleet.
         kind: its role in the pacing.
         stamp_ns: as `Recording.messages` has it [ns].
@@ -46,7 +46,6 @@ class Recorded:
     """
 
     topic: str
-    message_type: str
     vehicle: str
     kind: Kind
     stamp_ns: int

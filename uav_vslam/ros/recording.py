@@ -131,7 +131,7 @@ class Recording:
             if kind is not Kind.OTHER:
                 newest_ns = header_stamp_ns(raw.data)
             stamp_ns = raw.stamp_ns if newest_ns is None else newest_ns
-            yield Recorded(raw.topic, raw.msgtype, vehicle, kind, stamp_ns, raw.data)
+            yield Recorded(raw.topic, vehicle, kind, stamp_ns, raw.data)
         self.damage = [str(stream.error) for stream in streams if stream.error]
 
     def _read_latched(self) -> list[RawMessage]:
