@@ -20,13 +20,13 @@ def at(x_m: float, *, blur: int = 1) -> object:
 
 
 def test_a_key_frame_comes_when_the_overlap_falls_below_the_limit() -> None:
-    keys = KeyFrames(largest_overlap=0.7)
+    keys = KeyFrames()
     taken = [x for x in range(40) if keys.takes(at(float(x)), 0.0)]
     assert taken == [0, 10, 20, 30]  # an image is 32 m wide: 10 m leave 0.69
 
 
 def test_a_blurred_image_is_passed_over_for_the_next_sharp_one() -> None:
-    keys = KeyFrames(largest_overlap=0.7)
+    keys = KeyFrames()
     taken = [x for x in range(14) if keys.takes(at(float(x), blur=15 if x in (10, 11) else 1), 0.0)]
     assert taken == [0, 12]
 

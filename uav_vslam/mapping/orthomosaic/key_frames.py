@@ -18,8 +18,7 @@ REMEMBERED = 15  # views over which that median is taken
 class KeyFrames:
     """Chooses views of one vehicle as they come."""
 
-    def __init__(self, *, largest_overlap: float = OVERLAP) -> None:
-        self._largest_overlap = largest_overlap
+    def __init__(self) -> None:
         self._last: np.ndarray | None = None
         self._sharpness: deque[float] = deque(maxlen=REMEMBERED)
 
@@ -36,7 +35,7 @@ class KeyFrames:
         if self._last is not None:
             common = overlap(seen, self._last)
             blurred = sharpness < LEAST_SHARPNESS * float(np.median(self._sharpness))
-            if common > (min(URGENT_OVERLAP, self._largest_overlap) if blurred else self._largest_overlap):
+            if common > (URGENT_OVERLAP if blurred else OVERLAP):
                 return False
         self._last = seen
         return True
