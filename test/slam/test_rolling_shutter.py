@@ -10,7 +10,8 @@ import pytest
 from fed_stage import feed
 
 from uav_vslam.config import StartConfig
-from uav_vslam.offline.track import track_vehicle
+from uav_vslam.offline.track import _last_outputs, track_vehicle
+from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.first_frames import AGAIN, READOUT
@@ -116,6 +117,15 @@ def test_what_has_been_measured_is_used_from_the_start_on(flown, configured_s: f
         {one for output in part for one in output.report.sightings[:, 0]} for part in (outputs[:at], outputs[at:])
     )
     assert before.isdisjoint(since)  # peers may know the landmarks that are given up
+
+
+def test_of_frames_that_were_used_again_twice_the_last_outputs_are_smoothed(flown) -> None:
+    flight = flown(2, frames=6, tracked_px=PX)
+    first, second, third = (feed(flight.tracking_stage(PX), flight.frames) for _ in range(3))
+    first[2] = dataclasses.replace(second[2], earlier=tuple(second[:2]))
+    first[4] = dataclasses.replace(third[4], earlier=tuple(third[:4]))
+    last = _last_outputs(VehicleTrack("uav1", outputs=first))
+    assert [id(output) for output in last] == [id(output) for output in (*third[:4], *first[4:])]
 
 
 def test_a_readout_that_explains_no_more_is_not_used(flown, monkeypatch) -> None:

@@ -128,10 +128,12 @@ def smooth_track(
 
 def _last_outputs(track: VehicleTrack) -> list[FrameOutput]:
     """Return the last output of each frame: some may have been used again."""
-    for number, output in enumerate(track.outputs):
+    found: list[FrameOutput] = []
+    for output in track.outputs:
         if output.earlier:
-            return [*output.earlier, *track.outputs[number:]]
-    return track.outputs
+            found = list(output.earlier)
+        found.append(output)
+    return found
 
 
 def _exposed_at_once(track: VehicleTrack, outputs: list[FrameOutput], rig: StereoRig) -> dict[int, StereoFeatures]:
