@@ -137,6 +137,7 @@ def test_a_wrong_vehicle_file_is_refused(write_vehicle: Write, kind: str) -> Non
         ("/**: {backend: {sigma_px: 1.0}}", "indented, 'ros__parameters:'"),
         ("/**: {ros__parameters: {}}\n/uav1/fusion: {ros__parameters: {}}", "must be a ROS parameter file"),
         ("/**: 5", "must be a ROS parameter file"),
+        ("vehicles: {uav1: }", r"given\.yaml is a fleet file: give it to run or launch"),
         ("- backend", "must hold keys and values, not list"),
         ("backend", "must hold keys and values, not str"),
     ],
@@ -211,6 +212,7 @@ def test_overrides_reach_every_vehicle_of_a_fleet(write: Write) -> None:
 
 
 WRONG_FLEET = {
+    "of_a_vehicle": ("/**: {ros__parameters: {}}", r"is a vehicle's parameter file; .*: \{uav1: \{config: given"),
     "no_vehicles": ("mode: none", r"given\.yaml: 'vehicles' must map at least one name"),
     "empty_vehicles": ("vehicles: {}", "'vehicles' must map at least one name"),
     "listed_vehicles": ("vehicles: [uav1]", "'vehicles' must map at least one name"),

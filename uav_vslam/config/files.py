@@ -134,6 +134,9 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
         ConfigError: the file can't be read, a key or value is wrong, or a vehicle's name is used twice.
     """
     tree = read_yaml(path)
+    if ALL_NODES in tree:
+        example = f"vehicles: {{uav1: {{config: {path.name}}}}}"
+        raise ConfigError(f"{path} is a vehicle's parameter file; a fleet file beside it names it: {example}")
     _reject_unknown(tree, {"vehicles", "replay", "mode", "radio", "fleet_key"}, where=str(path), prefix="")
     if not isinstance(tree.get("vehicles"), dict) or not tree["vehicles"]:
         raise ConfigError(
@@ -245,6 +248,8 @@ def _read_parameters(path: Path) -> dict[str, Any]:
     tree = read_yaml(path)
     if not tree:
         return {}
+    if "vehicles" in tree:
+        raise ConfigError(f"{path} is a fleet file: give it to run or launch as what to fly, not as a configuration")
     inner = tree.get(ALL_NODES)
     if set(tree) != {ALL_NODES} or not isinstance(inner, dict) or set(inner) != {PARAMETERS}:
         raise ConfigError(
