@@ -30,6 +30,12 @@ def exit_with_parent(parent: int) -> None:
         os._exit(1)
 
 
+def ending_signals() -> list[signal.Signals]:
+    """Return the signals that end this process: SIGHUP, of a terminal that closes, unless it runs under `nohup`."""
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return [signal.SIGINT, signal.SIGTERM] if ignored else [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
 def processor_time_s(pid: int) -> float:
     """Return the processor time that a process has used, user and system; Linux only [s].
 

@@ -3,6 +3,8 @@
 
 import dataclasses
 import itertools
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -161,6 +163,57 @@ def test_a_signal_shuts_down_all(tmp_path: Path, number: signal.Signals) -> None
         process.send_signal(number)
         assert process.wait() == 0
         assert not any(map(alive, pids))
+
+
+def test_a_fleet_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
+    """What is started inherits that a signal is ignored."""
+    done = tmp_path / "done"
+    waits = f"""
+        import pathlib, time
+        print("ready")
+        while not pathlib.Path({str(done)!r}).exists():
+            time.sleep(0.02)
+    """
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with supervised(tmp_path, {"a": POLITE, "replay": waits}, FIRST_ONLY, leader="replay") as (process, _):
+            process.send_signal(signal.SIGHUP)
+            done.touch()
+            assert process.wait() == 0  # of the replay, not of an interrupted one
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_fleet_goes_on_when_its_terminal_is_gone(tmp_path: Path) -> None:
+    """As one that was started in the background, and disowned."""
+    gone, done = tmp_path / "gone", tmp_path / "done"
+    talking = f"""
+        import time
+        from pathlib import Path
+        while not Path({str(gone)!r}).exists():
+            time.sleep(0.02)
+        print("into the void", flush=True)
+        time.sleep(3600)
+    """
+    commands = [python("talker", talking), leader(f"Path({str(done)!r}).exists()")]
+    program = f"""
+        from uav_vslam.ros.command import Command
+        from uav_vslam.ros.supervisor import Supervisor, print_line
+
+        def note(name, line):
+            print_line(name, line)
+            open({str(done)!r}, "w").close()
+
+        raise SystemExit(Supervisor(on_line=note).run({commands!r}))
+    """
+    terminal, end = pty.openpty()
+    command = [sys.executable, "-c", textwrap.dedent(program)]
+    with subprocess.Popen(command, stdout=end, stderr=subprocess.PIPE, start_new_session=True) as process:
+        os.close(end)
+        os.close(terminal)
+        gone.touch()
+        assert b"Traceback" not in process.communicate()[1]
+        assert done.exists()
 
 
 def test_a_signal_that_interrupts_the_leader_is_the_exit_code(tmp_path: Path) -> None:

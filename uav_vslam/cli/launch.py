@@ -24,7 +24,8 @@ EXAMPLES = """examples:
   uav-vslam launch config/fleet_demo.yaml --mode narrowband --link bad_radio    over 9.6 kbit/s with 20 % loss
   uav-vslam launch fleet.yaml --vehicle uav1                              the vehicle of this computer alone
 
-The end of the replay ends the fleet, as do SIGINT, SIGTERM and, with --on-failure stop, a node that dies.
+The end of the replay ends the fleet, as do SIGINT, SIGTERM, a terminal that closes and, with --on-failure stop, a node
+that dies. Under nohup, or disowned, a fleet outlives its terminal.
 
 exit codes: 0 done, or, without recordings, ended by SIGINT or SIGTERM; 1 a node failed or a vehicle processed no frame;
 2 wrong input or configuration; 130 interrupted

@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from uav_vslam.errors import ConfigError, UavVslamError, one_line
 from uav_vslam.memory import keep_freed_memory
+from uav_vslam.processes import ending_signals
 from uav_vslam.ros.domain import check_domain
 from uav_vslam.ros.executor import LeanExecutor
 from uav_vslam.ros.log_folder import log_folder
@@ -31,7 +32,7 @@ def run_node(
     shared_memory: bool = False,
     executor_type: type[Executor] = LeanExecutor,
 ) -> int:
-    """Initialise ROS, spin one node until SIGINT or SIGTERM, and shut down; return the exit code.
+    """Initialise ROS, spin one node until SIGINT, SIGTERM or SIGHUP, and shut down; return the exit code.
 
     A node may end itself by raising SystemExit in a callback, and may set an `exit_code` while it is destroyed. An
     error of ours is one line and exit code 2.
@@ -50,7 +51,7 @@ def run_node(
         nonlocal stopping
         stopping = True  # only this: the signal may interrupt rclpy while it holds a lock that its shutdown needs
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         signal.signal(number, stop)
     node = executor = None
     try:

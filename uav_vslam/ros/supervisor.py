@@ -15,10 +15,10 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, TextIO
 
 from uav_vslam.errors import ConfigError
-from uav_vslam.processes import exit_with_parent
+from uav_vslam.processes import ending_signals, exit_with_parent
 from uav_vslam.ros.command import Command
 
 DRAIN_S = 1.0  # after the replay's end, for messages in flight
@@ -85,8 +85,7 @@ class Supervisor:
             The exit code of the first process that failed, or 0; 128 + the signal that ended the run before the
             leading process. Without a leading one, a signal is how a run ends.
         """
-        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        before = {number: signal.signal(number, self._on_signal) for number in numbers}
+        before = {number: signal.signal(number, self._on_signal) for number in ending_signals()}
         try:
             for command in commands:
                 self._children.append(self._start(command))
@@ -276,7 +275,7 @@ def describe_exit(code: int) -> str:
 
 def print_line(name: str, line: str) -> None:
     """Print a line of a process's output with its prefix."""
-    print(f"[{name}] {line}", flush=True)
+    _say(f"[{name}] {line}", sys.stdout)
 
 
 def _handles_sigterm(pid: int) -> bool:
@@ -294,7 +293,21 @@ def _shell_code(code: int) -> int:
 
 
 def _log(text: str) -> None:
-    print(f"uav-vslam: {text}", file=sys.stderr, flush=True)
+    _say(f"uav-vslam: {text}", sys.stderr)
+
+
+def _say(text: str, where: TextIO) -> None:
+    """Print a line. It is lost where the terminal has closed or the disk is full: the fleet may be in flight.
+
+    Raises:
+        BrokenPipeError: the reader has closed the pipe, which ends the fleet as any command.
+    """
+    try:
+        print(text, file=where, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError:
+        pass
 
 
 def _child_setup(parent: int) -> Callable[[], None]:
