@@ -118,11 +118,11 @@ BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
     ),
     "images of unknown encoding": (
         changed("/uav1/right/image_raw", encoding="yuv9"),
-        ["/uav1/right/image_raw", "image encoding 'yuv9' can't be used; record mono8"],
+        ["/uav1/right/image_raw", "image encoding 'yuv9' can't be used; use mono8"],
     ),
     "images that lack pixels": (
         changed("/uav1/left/image_raw", data=np.zeros(9, np.uint8)),
-        ["/uav1/left/image_raw", "160x120 px holds only 9 bytes"],
+        ["/uav1/left/image_raw", "160x120 px in mono8 holds 9 bytes, with a step of 160"],
     ),
     "extrinsics that are no rotation": (
         rotated_by_nothing,

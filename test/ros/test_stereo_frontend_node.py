@@ -309,7 +309,8 @@ def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(do
         deliver(node, "/tf_static", moved)
         deliver(node, "left/camera_info", zoomed)
         text = node.failures["calibration"]
-        assert f"fx {zoomed.k[0]:.2f} px, in use {used.left.fx:.2f} px" in text
+        assert f"f ({zoomed.k[0]:.2f}, 50.00)" in text
+        assert f"in use {WIDTH}x{HEIGHT} px, f ({used.left.fx:.2f}, 50.00)" in text
         assert "baseline" in text
         node.reset()
         assert "calibration" not in node.failures
@@ -319,6 +320,18 @@ def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(do
         deliver(node, "left/camera_info", zoomed)
         assert node.counts["dropped/calibration"] == 1
         assert node._rig.rig.left.fx > 0.0
+
+
+def test_a_lens_that_changes_in_flight_is_named(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        calibrate(node)
+        lens = calibration("left")
+        lens.distortion_model, lens.d = "equidistant", [0.1, 0.0, 0.0, 0.0]
+        deliver(node, "left/camera_info", lens)
+        told, in_use = node.failures["calibration"].split("in use")
+        assert told.endswith("equidistant (0.1, 0, 0, 0), ")
+        assert in_use.endswith("plumb_bob (0, 0, 0, 0, 0)")
 
 
 def test_cameras_that_are_swapped_in_flight_are_logged_as_that(domain_id, capfd):
@@ -333,6 +346,19 @@ def test_cameras_that_are_swapped_in_flight_are_logged_as_that(domain_id, capfd)
         assert "baseline is 0" in logged[0]  # both cameras were the right one
         assert node.failures["calibration"] in logged[1]
         assert "places of the cameras" in logged[1]
+
+
+def test_an_image_that_can_not_be_read_is_an_alarm_that_says_why(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        calibrate(node)
+        left, right = blank_image("left"), blank_image("right")
+        right.step = 0
+        deliver(node, "left/image_raw", left)
+        deliver(node, "right/image_raw", right)
+        assert "the right image could not be read" in node.alarms["image"]
+        assert f"a step of 0; its step must be at least {WIDTH} bytes" in node.alarms["image"]
+        assert node.counts["dropped/image"] == 1
 
 
 def test_images_of_another_size_than_their_calibration_are_an_alarm_while_they_come(domain_id):

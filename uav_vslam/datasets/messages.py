@@ -137,7 +137,7 @@ def image_of(built: Any) -> NDArray[Any]:
             raise BagError(f"compressed image at {stamp_ns_of(built)} ns can't be decoded; is it {built.format!r}?")
         return _demosaiced(pixels, built.format.partition(";")[0].strip())
     if built.encoding not in ENCODINGS:
-        raise BagError(f"image encoding {built.encoding!r} can't be used; record {', '.join(ENCODINGS)} or compressed")
+        raise BagError(f"image encoding {built.encoding!r} can't be used; use {', '.join(ENCODINGS)} or compressed")
     dtype, channels, conversion = ENCODINGS[built.encoding]
     kind = np.dtype(dtype).newbyteorder(">" if built.is_bigendian else "<")
     line = built.width * channels * kind.itemsize
@@ -146,7 +146,10 @@ def image_of(built: Any) -> NDArray[Any]:
     if channels == 2 and built.width % 2:
         raise BagError(f"image {built.width} px wide can't be {built.encoding}, of pairs of pixels; record it again")
     if built.step < line or len(built.data) < built.step * built.height:
-        raise BagError(f"image of {built.width}x{built.height} px holds only {len(built.data)} bytes; record it again")
+        raise BagError(
+            f"image of {built.width}x{built.height} px in {built.encoding} holds {len(built.data)} bytes, with a step "
+            f"of {built.step}; its step must be at least {line} bytes, and its data height x step: correct its driver"
+        )
     rows = np.asarray(built.data)[: built.step * built.height].reshape(built.height, built.step)[:, :line]
     pixels = np.ascontiguousarray(rows).view(kind).astype(dtype, copy=False)
     if channels > 1:

@@ -15,6 +15,7 @@ from uav_vslam.datasets.frame_tree import SAME_PLACE
 from uav_vslam.datasets.messages import transforms_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
+from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.geometry.stereo import SIDES, StereoRig
@@ -149,11 +150,18 @@ def _changes(used: StereoRig, newest: StereoRig) -> str:
     for side in SIDES:
         before, now = getattr(used, side), getattr(newest, side)
         if not all(np.array_equal(getattr(before, f.name), getattr(now, f.name)) for f in dataclasses.fields(before)):
-            changes.append(f"{side} camera {now.width}x{now.height}, fx {now.fx:.2f} px, in use {before.fx:.2f} px")
+            changes.append(f"{side} camera {_in_words(now)}, in use {_in_words(before)}")
     places = (used.T_body_left, newest.T_body_left), (used.T_body_right, newest.T_body_right)
     if not all(np.allclose(before.matrix, now.matrix, atol=SAME_PLACE) for before, now in places):
         changes.append(f"places of the cameras, baseline {newest.baseline_m:.4f} m, in use {used.baseline_m:.4f} m")
     return "; ".join(changes)
+
+
+def _in_words(camera: PinholeCamera) -> str:
+    """Return the calibration of a camera in a line."""
+    focal, centre = (f"{x:.2f}, {y:.2f}" for x, y in ((camera.fx, camera.fy), (camera.cx, camera.cy)))
+    lens = ", ".join(f"{value:.4g}" for value in camera.distortion)
+    return f"{camera.width}x{camera.height} px, f ({focal}), centre ({centre}), {camera.model} ({lens})"
 
 
 class ImuListener:

@@ -53,6 +53,7 @@ class StereoFrontendNode(VehicleNode):
         self._frontend: Frontend | None = None
         self._alone = 0  # images since the last pair
         self._image_frame = ""  # of the left images
+        self._unreadable: dict[str, str] = {}  # by camera: why its newest unreadable image is
         given = self.config.input
         self._pairer: StereoPairer[Pixels] = StereoPairer(tolerance_ns=round(given.pair_tolerance_s * NS_PER_S))
         self._waiting: deque[StereoFrame] = deque()
@@ -94,7 +95,7 @@ class StereoFrontendNode(VehicleNode):
             return  # the same image once more
         if side == "left":
             self._image_frame = message.header.frame_id
-        pair = add(stamp_ns_of(message), self._pixels(message))
+        pair = add(stamp_ns_of(message), self._pixels(side, message))
         self.counts[f"{DROPPED}unpaired"] = self._pairer.dropped
         if pair is None:
             self._alone += 1
@@ -130,12 +131,12 @@ class StereoFrontendNode(VehicleNode):
             self.destroy_subscription(other.subscription)
         return kind in choices
 
-    def _pixels(self, message: Image | CompressedImage) -> Pixels:
+    def _pixels(self, side: str, message: Image | CompressedImage) -> Pixels:
         """Return the image, empty if it can't be decoded: its frame then has no features."""
         try:
             return image_from_msg(message)
         except InvalidMessage as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            self._unreadable[side] = str(error)
             return np.zeros((0, 0), np.uint8)
 
     def _work(self) -> None:
@@ -154,8 +155,10 @@ class StereoFrontendNode(VehicleNode):
         try:
             features = frontend.process(frame)
         except InvalidMessage as error:
-            self.drop(error.reason, str(error))
-            self.alarms = frontend.alarms | {error.reason: str(error)}
+            reasons = [why for side, why in self._unreadable.items() if getattr(frame, side).size == 0]
+            text = "; ".join([str(error), *reasons])
+            self.drop(error.reason, text)
+            self.alarms = frontend.alarms | {error.reason: text}
             return Features.empty(frame.stamp_ns)
         self._alarm(frontend.alarms)
         return features
