@@ -322,6 +322,18 @@ def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(do
         assert node._rig.rig.left.fx > 0.0
 
 
+def test_a_camera_info_without_frame_id_is_named(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        for side in ("left", "right"):
+            info = calibration(side)
+            info.header.frame_id = ""
+            deliver(node, f"{side}/camera_info", info)
+        assert (
+            node.notes["transform"] == "/tf_static has no uav1/base_link -> a camera whose camera_info has no frame_id"
+        )
+
+
 def test_a_lens_that_changes_in_flight_is_named(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node = made()

@@ -219,7 +219,8 @@ class SensorSetup:
     def _unconnected(self, frames: Iterable[str]) -> list[str]:
         base = self.config.base_frame(self.vehicle)
         unknown = [frame for frame in frames if not self.frames.connected(base, frame)]
-        return [f"{base} -> {frame or 'a camera without camera_info'}" for frame in unknown]
+        unnamed = "a camera without camera_info" if self.missing_infos else "a camera whose camera_info has no frame_id"
+        return [f"{base} -> {frame or unnamed}" for frame in dict.fromkeys(unknown)]
 
     def _needs_info(self, side: str) -> bool:
         index = SIDES.index(side)
