@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.parameter_service import ParameterService
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
@@ -26,6 +25,7 @@ from uav_vslam.ros.executor import CLOCK
 from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched, wrong_type
 from uav_vslam.ros.lifecycle import PausableNode
+from uav_vslam.ros.parameter_service import AnsweringParameterService
 from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
@@ -57,7 +57,7 @@ class VehicleNode(PausableNode):
         super().__init__(name, start_parameter_services=False)
         self.own: Any = read(self, typing.cast(Any, NODES[name].own))
         declare(self, self.own)
-        self._parameter_service = ParameterService(self) if self.own.parameter_services else None
+        self._parameter_service = AnsweringParameterService(self) if self.own.parameter_services else None
         self._settings = VehicleParameters(self, NODES[name].used_names, self.configure)
         for setting, text in idle_settings(self.config).items():
             if setting in NODES[name].used_names:
