@@ -334,6 +334,32 @@ def test_a_camera_info_without_frame_id_is_named(domain_id):
         )
 
 
+def test_an_invalid_transform_is_dropped_and_not_those_that_come_with_it(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        transforms = extrinsics(node)
+        gps = transform_to_msg(Pose.identity(), stamp_ns=0, parent=node.base_frame, child="gps")
+        gps.transform.rotation.w = 0.0
+        transforms.transforms = [gps, *transforms.transforms]
+        deliver(node, "/tf_static", transforms)
+        for side in ("left", "right"):
+            deliver(node, f"{side}/camera_info", calibration(side))
+        assert node._rig.rig is not None
+        assert node.counts["dropped/transform"] == 1
+
+
+def test_a_loop_of_transforms_is_named(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        back = transform_to_msg(Pose.identity(), stamp_ns=0, parent="left_optical", child=node.base_frame)
+        deliver(node, "/tf_static", TFMessage(transforms=[back]))
+        calibrate(node)
+        assert node.notes["transform"] == (
+            "/tf_static has no uav1/base_link -> left_optical without a loop (each is the child of the next: "
+            "left_optical, uav1/base_link, left_optical)"
+        )
+
+
 def test_a_lens_that_changes_in_flight_is_named(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node = made()

@@ -59,6 +59,14 @@ class FrameTree:
             f"that transform, name the frames by input.frames, or give a file with input.calibration"
         )
 
+    def loop(self, frame: str) -> list[str]:
+        """Return the frames of the loop that a frame is in or below, child first and its first one again last."""
+        frame, seen = frame.lstrip("/"), list[str]()
+        while frame in self._parents and frame not in seen:
+            seen.append(frame)
+            frame = self._parents[frame][0]
+        return [*seen[seen.index(frame) :], frame] if frame in seen else []
+
     def _root(self, frame: str) -> tuple[str, Pose]:
         """Return the frame's topmost ancestor, and the frame's pose there."""
         frame, pose, seen = frame.lstrip("/"), Pose.identity(), set[str]()

@@ -293,17 +293,23 @@ def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
     """
     if not hasattr(built, "transforms"):
         raise CalibrationError(f"/tf_static holds {built.__msgtype__}; record tf2_msgs/msg/TFMessage")
-    edges = []
-    for stamped in built.transforms:
-        parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
-        try:
-            pose = _pose_of_transform(stamped.transform)
-            if not np.isfinite(pose.matrix).all():
-                raise ValueError("the transform holds NaN or infinity")
-            edges.append((parent, child, pose))
-        except ValueError as error:
-            raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish a corrected transform") from None
-    return edges
+    return [edge_of(stamped) for stamped in built.transforms]
+
+
+def edge_of(stamped: Any) -> tuple[str, str, Pose]:
+    """Return the edge (parent frame, child frame, T_parent_child) of a TransformStamped.
+
+    Raises:
+        CalibrationError: it has no valid rotation or is not finite.
+    """
+    parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
+    try:
+        pose = _pose_of_transform(stamped.transform)
+        if not np.isfinite(pose.matrix).all():
+            raise ValueError("the transform holds NaN or infinity")
+    except ValueError as error:
+        raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish a corrected transform") from None
+    return parent, child, pose
 
 
 def _pose_of(built: Any) -> Pose:

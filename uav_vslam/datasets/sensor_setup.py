@@ -220,7 +220,11 @@ class SensorSetup:
         base = self.config.base_frame(self.vehicle)
         unknown = [frame for frame in frames if not self.frames.connected(base, frame)]
         unnamed = "a camera without camera_info" if self.missing_infos else "a camera whose camera_info has no frame_id"
-        return [f"{base} -> {frame or unnamed}" for frame in dict.fromkeys(unknown)]
+        return [f"{base} -> {frame or unnamed}{self._loop_in_words(frame)}" for frame in dict.fromkeys(unknown)]
+
+    def _loop_in_words(self, frame: str) -> str:
+        loop = self.frames.loop(frame)
+        return f" without a loop (each is the child of the next: {', '.join(loop)})" if loop else ""
 
     def _needs_info(self, side: str) -> bool:
         index = SIDES.index(side)

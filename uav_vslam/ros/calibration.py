@@ -11,8 +11,8 @@ from rclpy.callback_groups import CallbackGroup
 from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
-from uav_vslam.datasets.frame_tree import SAME_PLACE
-from uav_vslam.datasets.messages import transforms_of
+from uav_vslam.datasets.frame_tree import SAME_PLACE, Edge
+from uav_vslam.datasets.messages import edge_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
@@ -88,7 +88,7 @@ class RigListener:
         self._follow()
 
     def _on_transforms(self, message: TFMessage) -> None:
-        self._setup.frames.add(transforms_of(message))
+        self._setup.frames.add(_valid_edges(self._node, message))
         self._follow()
 
     def _follow(self) -> None:
@@ -134,6 +134,17 @@ class RigListener:
             raise InvalidMessage("calibration", str(error)) from None
         self._node.get_logger().info(f"rig complete: baseline {self.rig.baseline_m:.3f} m")
         self._on_complete()
+
+
+def _valid_edges(node: VehicleNode, message: TFMessage) -> list[Edge]:
+    """Return the valid edges of a message; an invalid one may be of a sensor that is not ours, and tf2 drops it too."""
+    edges = []
+    for stamped in message.transforms:
+        try:
+            edges.append(edge_of(stamped))
+        except CalibrationError as error:
+            node.drop("transform", str(error))
+    return edges
 
 
 def _content(info: CameraInfo) -> tuple[object, ...]:
@@ -236,7 +247,7 @@ class ImuListener:
         self._node.get_logger().warning(text)
 
     def _on_transforms(self, message: TFMessage) -> None:
-        self._setup.frames.add(transforms_of(message))  # in flight too: start states may be of any frame
+        self._setup.frames.add(_valid_edges(self._node, message))  # in flight too: start states may be of any frame
         if self._mounting is not None:
             self._node.report_failure(CHANGED, self._fault())
         elif self._waiting:
