@@ -185,6 +185,19 @@ def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_eve
     )  # it hovers, and knows it
 
 
+def test_a_place_of_the_imu_that_is_missing_is_a_failure_long_before_readings_are_dropped(make: Make) -> None:
+    node = make("odometry_rate_hz:=0.0")
+    deliver(node, "initial_state", start_at(NOW_NS))
+    for k in range(4):
+        assert not node.failures
+        deliver(node, "imu/data_raw", Imu(header=header(NOW_NS + k * NS_PER_S, "imu_link")))
+    assert "no uav1/base_link -> imu_link, the IMU's frame; publish it" in node.failures["transform"]
+    assert node.counts["dropped/imu_frame"] == 0
+    edge = transform_to_msg(Pose.identity(), stamp_ns=0, parent="uav1/base_link", child="imu_link")
+    deliver(node, "/tf_static", TFMessage(transforms=[edge]))
+    assert not node.failures
+
+
 def test_a_place_of_the_imu_that_changes_in_flight_is_named_and_used_after_a_reset(make: Make) -> None:
     node = make("odometry_rate_hz:=0.0")
 

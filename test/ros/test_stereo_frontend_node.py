@@ -281,6 +281,18 @@ def test_a_silent_camera_is_reported_again_after_a_reset(domain_id):
             assert "pairs" not in node.alarms
 
 
+def test_images_without_a_stamp_are_named_as_that(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        for _ in range(MAX_ALONE):
+            for side in ("left", "right"):
+                image = blank_image(side)
+                image.header = header(0, f"{side}_optical")
+                deliver(node, f"{side}/image_raw", image)
+        assert "their stamps repeat" in node.alarms["pairs"]
+        assert "the newest is 0.000 s" in node.alarms["pairs"]
+
+
 def calibrate(node: StereoFrontendNode) -> None:
     """Deliver the calibration of both cameras."""
     deliver(node, "/tf_static", extrinsics(node))

@@ -23,9 +23,10 @@ from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.ros.convert import imu_from_data
 from uav_vslam.ros.qos import LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.ros.vehicle_node import VehicleNode
-from uav_vslam.types import ImuSample
+from uav_vslam.types import NS_PER_S, ImuSample
 
 MAX_WAITING = 2000  # readings held until the place of the IMU is known
+LATE_S = 2.0  # time of such readings after which its transform is missed: static ones come with the nodes
 MISSING = "transform"  # key in diagnostics of transforms that are still missing
 CHANGED = "calibration"  # key of the failure that the calibration received is not the one in use
 
@@ -277,10 +278,12 @@ class ImuListener:
         missing = ", ".join(self._setup.missing_imu_transforms())
         if missing:
             self._node.notes[MISSING] = f"/tf_static has no {missing}"
-            if len(self._waiting) > MAX_WAITING:
+            too_many = len(self._waiting) > MAX_WAITING
+            text = f"/tf_static has no {missing}, the IMU's frame; publish it, or set input.frames"
+            if too_many or self._waiting[-1].stamp_ns - self._waiting[0].stamp_ns > LATE_S * NS_PER_S:
+                self._node.report_failure(MISSING, text)
+            if too_many:
                 self._waiting.popleft()
-                text = f"/tf_static has no {missing}, the IMU's frame; publish it, or set input.frames"
-                self._node.failures[MISSING] = text
                 raise InvalidMessage("imu_frame", text)
             return
         self._node.notes.pop(MISSING, None)

@@ -100,11 +100,11 @@ class StereoFrontendNode(VehicleNode):
         if pair is None:
             self._alone += 1
             if self._alone == MAX_ALONE:
-                tolerance_ms = self._pairer.tolerance_ns / 1e6
+                tolerance_ms, newest_s = self._pairer.tolerance_ns / 1e6, stamp_ns_of(message) / NS_PER_S
                 self._alarm(
                     {
-                        "pairs": "images arrive, but no pairs: one camera is silent, or their stamps differ by more "
-                        f"than {tolerance_ms:.1f} ms (input.pair_tolerance_s)"
+                        "pairs": "images arrive, but no pairs: one camera is silent, or their stamps repeat or differ "
+                        f"by more than {tolerance_ms:.1f} ms (input.pair_tolerance_s); the newest is {newest_s:.3f} s"
                     }
                 )
             return
