@@ -6,10 +6,10 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from sensor_msgs.msg import CompressedImage  # noqa: E402
+from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from uav_vslam.ros.inputs import STREAM, Input, image_topics, silent, stopped, unmatched  # noqa: E402
+from uav_vslam.ros.inputs import STREAM, Input, image_topics, silent, stopped, unmatched, wrong_type  # noqa: E402
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, RESUMABLE, STATE  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -166,6 +166,28 @@ def test_compressed_images_are_remapped_with_the_raw_ones(listener, remappings, 
     camera = listener.create_publisher(CompressedImage, compressed, STATE)
     assert spin_until(node, lambda: bool(received), lambda: camera.publish(CompressedImage()))
     node.destroy_node()
+
+
+def test_compressed_images_under_the_name_of_raw_ones_are_of_the_wrong_type(listener, domain_id):
+    raw = Input(Image, "image", lambda _: None, STATE, "image")
+    compressed = Input(CompressedImage, "image/compressed", lambda _: None, STATE, "image")
+    for one in (raw, compressed):
+        one.subscribe(listener)
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    driver = rclpy.create_node("driver", context=context)
+    said = (
+        "published as sensor_msgs/msg/CompressedImage; it takes sensor_msgs/msg/Image or "
+        "sensor_msgs/msg/CompressedImage as /image/compressed"
+    )
+    try:
+        driver.create_publisher(CompressedImage, "image", STATE)
+        assert spin_until(listener, lambda: wrong_type([raw, compressed], "image", listener) == said)
+        driver.create_publisher(CompressedImage, "image/compressed", STATE)
+        assert spin_until(listener, lambda: not wrong_type([raw, compressed], "image", listener))
+    finally:
+        driver.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 def test_qos_that_is_overridden_is_that_of_one_topic_and_outlasts_its_driver(listener):

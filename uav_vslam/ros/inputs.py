@@ -193,14 +193,16 @@ def type_name(message_type: Any) -> str:
 
 def wrong_type(inputs: Iterable[Input], topic: str, node: Node) -> str:
     """Return what a topic is published as, if as nothing that its inputs take: DDS matches no other type, silently."""
-    offered, taken = set(), set()
+    offered, taken = set(), []
     for one in inputs:
         if one.stands_for == topic:
-            taken.add(type_name(one.message_type))
-            offered |= {info.topic_type for info in node.get_publishers_info_by_topic(one.subscription.topic_name)}
-    if not offered or offered & taken:
-        return ""
-    return f"published as {' and '.join(sorted(offered))}; it takes {' or '.join(sorted(taken))}"
+            name, kind = one.subscription.topic_name, type_name(one.message_type)
+            types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
+            if kind in types:
+                return ""
+            offered |= types
+            taken.append(kind if name == node.resolve_topic_name(topic) else f"{kind} as {name}")
+    return f"published as {' and '.join(sorted(offered))}; it takes {' or '.join(taken)}" if offered else ""
 
 
 def stopped(inputs: Iterable[Input], now_s: float) -> dict[str, float]:
