@@ -109,3 +109,4 @@ def test_a_consumer_unit_configured_as_a_tactical_one_still_flies() -> None:
     (warning,) = warnings
     assert "times imu.gyro_noise" in warning
     assert "times imu.accel_noise" in warning
+    assert "check their units (rad/s, m/s^2)" in warning

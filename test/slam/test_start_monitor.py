@@ -25,7 +25,7 @@ from uav_vslam.slam.start_monitor import (
 )
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
-REMEDY = "check initial_state and its covariance, the IMU noise, the clocks and the calibration"
+REMEDY = "check initial_state and its covariance, the IMU (units, axes, noise), the clocks and the calibration"
 ZERO = np.zeros(3)
 FRAMES = 24  # 3.2 s
 VELOCITY_SIGMA, TILT_SIGMA_DEG, YAW_SIGMA_DEG = 0.1, 0.2, 0.5  # of a simulated start
@@ -127,7 +127,7 @@ def test_a_wrong_calibration_that_explains_the_first_frames_is_estimated_and_tol
 def test_a_start_that_was_not_recorded_is_not_sought_in_the_recording(flown) -> None:
     flight = flown(1)
     (warning,) = warnings_of(flight, moved(flight.vehicle.initial, **WRONG["forward velocity"]), "static")
-    assert "at rest, imu.gyro_bias_sigma and imu.accel_bias_sigma, the IMU noise" in warning
+    assert "at rest, imu.gyro_bias_sigma and imu.accel_bias_sigma, the IMU (units, axes, noise)" in warning
     assert "initial_state" not in warning
 
 

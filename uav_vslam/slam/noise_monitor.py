@@ -31,6 +31,6 @@ class NoiseMonitor:
         self._configured = {name: sigma for name, sigma in self._configured.items() if name not in noisy}
         times = " and ".join(f"{ratio:.1f} times {name}" for name, ratio in noisy.items())
         return (
-            f"the readings of the IMU have {times}, and are weighted so: set what `uav-vslam check` measures over a "
-            "recording, or isolate the IMU from vibration"
+            f"the readings of the IMU have {times}, and are weighted so: check their units (rad/s, m/s^2), set what "
+            "`uav-vslam check` measures over a recording, or isolate the IMU from vibration"
         )

@@ -45,7 +45,7 @@ class StartMonitor:
                 far off.
         """
         self._scaled = scaled
-        self._remedy = f"check {CHECKED[method]}, the IMU noise, the clocks and the calibration"
+        self._remedy = f"check {CHECKED[method]}, the IMU (units, axes, noise), the clocks and the calibration"
         self._end_ns: int | None = None
         self._nis, self._dof, self._coasted, self._landmarks = 0.0, 0, 0, 0
         self._warned = False
