@@ -294,6 +294,19 @@ def test_a_serialised_reading_is_read_whatever_the_length_of_its_frame(frame: st
     assert (sample.gyro.tolist(), sample.accel.tolist()) == ([1.0, 2.0, 3.0], [4.0, 5.0, 6.0])
 
 
+@pytest.mark.parametrize("vector", ["angular_velocity", "linear_acceleration"])
+@pytest.mark.parametrize(("zero", "marked"), [(True, False), (False, True), (True, True)])
+def test_a_vector_that_an_imu_does_not_measure_is_refused(vector: str, zero: bool, marked: bool) -> None:
+    """A zero alone may be measured, and some drivers mark what they measure."""
+    covariance = np.full(9, -1.0 if marked else 1.0)
+    fields = {f"{vector}_covariance": covariance} | ({vector: Vector3()} if zero else {})
+    if zero and marked:
+        with pytest.raises(InvalidMessage, match=rf"not_finite: {vector} .* not measured \(covariance -1\)"):
+            convert.imu_from_data(reading(**fields))
+    else:
+        assert convert.imu_from_data(reading(**fields))[0].is_finite
+
+
 def test_a_serialised_reading_of_the_other_byte_order_is_read() -> None:
     ours = reading(header=convert.header(STAMP_NS, "imu"))
     words, frame, numbers = (ours[4:16], np.uint32), ours[16:20], (ours[20:], float)

@@ -57,7 +57,9 @@ LENS_MODELS = {"": "plumb_bob", "fisheye": "equidistant", "kannala_brandt4": "eq
 # A serialised message (CDR) begins with its encoding, the stamp and the length of the frame_id with its final zero.
 PLAIN_CDR = (b"\0\0", b"\0\1")  # big and little endian
 CDR_HEADER, FRAME_ID = 4, 16  # bytes before the content, and before the frame_id's characters
-IMU_NUMBERS, GYRO, ACCEL = 37, slice(13, 16), slice(25, 28)  # after the frame_id: orientation, rate, force, covariances
+# After the frame_id: orientation, rate and force, each with its covariance.
+IMU_NUMBERS, GYRO, GYRO_COVARIANCE, ACCEL, ACCEL_COVARIANCE = 37, slice(13, 16), 16, slice(25, 28), 28
+NOT_MEASURED = -1.0  # in sensor_msgs/Imu the first number of the covariance of what the device does not measure
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +115,8 @@ def imu_of_data(data: bytes) -> tuple[ImuSample, str]:
         raise BagError(f"{len(data)} bytes are too few for a sensor_msgs/Imu whose frame_id has {length}")
     numbers = np.frombuffer(data, f"{order}f8", IMU_NUMBERS, begin).astype(float)
     frame = data[FRAME_ID : FRAME_ID + length - 1].decode()
-    return ImuSample(header_stamp_ns(data), numbers[GYRO], numbers[ACCEL]), frame
+    gyro = _measured(numbers[GYRO], numbers[GYRO_COVARIANCE])
+    return ImuSample(header_stamp_ns(data), gyro, _measured(numbers[ACCEL], numbers[ACCEL_COVARIANCE])), frame
 
 
 def _byte_order(data: bytes) -> str:
@@ -238,7 +241,14 @@ def rectified_camera_of(info: Any) -> tuple[PinholeCamera, Pose]:
 
 def imu_of(built: Any) -> ImuSample:
     """Return the reading of an Imu message."""
-    return ImuSample(stamp_ns_of(built), _array(built.angular_velocity), _array(built.linear_acceleration))
+    gyro = _measured(_array(built.angular_velocity), built.angular_velocity_covariance[0])
+    accel = _measured(_array(built.linear_acceleration), built.linear_acceleration_covariance[0])
+    return ImuSample(stamp_ns_of(built), gyro, accel)
+
+
+def _measured(vector: Array, variance: float) -> Array:
+    """Return a vector of an Imu message; NaN if it is left at zero and marked as not measured."""
+    return np.full(3, np.nan) if variance == NOT_MEASURED and not vector.any() else vector
 
 
 def truth_of(built: Any) -> TruthSample:

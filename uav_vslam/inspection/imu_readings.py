@@ -24,7 +24,7 @@ def check_finite(gyro: Array, accel: Array) -> list[Finding]:
         return []
     where = ", ".join(f"{rows.sum()} of the {sensor}" for rows, (sensor, _) in zip(bad, SENSORS, strict=True))
     judge = error if dropped > limits.UNUSABLE_SHARE * len(gyro) else warning
-    seen = f"{dropped} of {len(gyro)} are NaN or infinite: {where}"
+    seen = f"{dropped} of {len(gyro)} are NaN, infinite or marked as not measured: {where}"
     return [judge("IMU readings", seen, "finite numbers", "such readings are dropped: correct the driver")]
 
 

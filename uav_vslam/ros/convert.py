@@ -99,8 +99,10 @@ def imu_from_data(data: bytes) -> tuple[ImuSample, str]:
     except (BagError, UnicodeDecodeError) as error:
         raise InvalidMessage("encoding", str(error)) from None
     if not sample.is_finite:
-        _finite(sample.gyro, "angular_velocity")
-        _finite(sample.accel, "linear_acceleration")
+        what = "linear_acceleration" if np.isfinite(sample.gyro).all() else "angular_velocity"
+        raise InvalidMessage(
+            "not_finite", f"{what} holds NaN or infinity, or is marked as not measured (covariance -1)"
+        )
     return sample, frame
 
 

@@ -78,10 +78,11 @@ class FrontendHealth:
         self._distances.append(float(np.median(self._rig.epipolar_distance(pixels))))
         usual = float(np.median(self._distances))
         wrong = len(self._distances) == EPIPOLAR_FRAMES and usual > EPIPOLAR_SHARE * self.epipolar_px
-        self._set(
-            "rig",
-            f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off" if wrong else "",
+        text = (
+            f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off, or the frames of the cameras "
+            "are not optical (z ahead, x right)"
         )
+        self._set("rig", text if wrong else "")
 
     def _set(self, subject: str, text: str) -> None:
         if text:
