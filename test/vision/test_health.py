@@ -56,6 +56,21 @@ def test_points_outside_the_lens_do_not_hide_a_bent_rig(rig: StereoRig) -> None:
     assert "2.9 px off their epipolar lines" in alarms_after(rig, pixels, EPIPOLAR_FRAMES)["rig"]
 
 
+@pytest.mark.parametrize(("scale", "said"), [(1.0, ""), (1000.0, "m away, at a baseline of 776 m"), (0.002, "points are 0.14 m away")])
+def test_a_baseline_in_another_unit_is_reported(rig: StereoRig, scale: float, said: str) -> None:
+    """No point is at a depth that is allowed, so the back end sees none."""
+    left, right = rig.T_body_left, rig.T_body_right
+    scaled = dataclasses.replace(
+        rig, T_body_left=Pose(left.R, scale * left.t), T_body_right=Pose(right.R, scale * right.t)
+    )
+    health = FrontendHealth(scaled, EPIPOLAR_PX, (0.3, 500.0))
+    for _ in range(EPIPOLAR_FRAMES):
+        assert "depth" not in health.alarms
+        health.check_points(points_of(rig, noise_px=0.1))
+    assert said in health.alarms.get("depth", "")
+    assert set(health.alarms) == ({"depth"} if said else set())
+
+
 def test_swapped_images_are_reported_at_once(rig: StereoRig) -> None:
     alarms = alarms_after(rig, points_of(rig)[:, [2, 3, 0, 1]], 1)
     assert "swapped" in alarms["image order"]

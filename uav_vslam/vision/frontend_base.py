@@ -25,13 +25,14 @@ class Frontend(ABC):
         """
         self._rig, self._config = rig, config
         self._gate = StereoGate(rig, config, rig_config or RigConfig(), noise_px=noise_px)
-        self._health = FrontendHealth(rig, self._gate.epipolar_px)
+        self._health = FrontendHealth(rig, self._gate.epipolar_px, (config.min_depth_m, config.max_depth_m))
 
     def configure(self, config: FrontendConfig) -> None:
         """Go on with live settings that have changed."""
         self._config = config
         self._gate.configure(config)
         self._health.epipolar_px = self._gate.epipolar_px
+        self._health.depth_range_m = config.min_depth_m, config.max_depth_m
 
     @property
     def alarms(self) -> dict[str, str]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fault detection for the cameras and their rig, for the diagnostics; faulty images are not used."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -27,20 +28,24 @@ class FrontendHealth:
     Attributes:
         alarms: current faults, by subject; normally empty.
         epipolar_px: largest distance from the epipolar line at which points are matched [px]; may be set at any time.
+        depth_range_m: smallest and largest depth at which they are [m]; likewise.
     """
 
-    def __init__(self, rig: StereoRig, epipolar_px: float) -> None:
+    def __init__(
+        self, rig: StereoRig, epipolar_px: float, depth_range_m: tuple[float, float] = (0.0, math.inf)
+    ) -> None:
         """Start without data.
 
         Args:
             rig: calibration.
-            epipolar_px: see the attribute.
+            epipolar_px, depth_range_m: see the attributes.
         """
-        self._rig, self.epipolar_px = rig, epipolar_px
+        self._rig, self.epipolar_px, self.depth_range_m = rig, epipolar_px, depth_range_m
         self._cameras = {"left": ImageWatch(), "right": ImageWatch()}
         self._rate, self._stamp_ns = RunningBaseline(GAP_SHARE), 0
         self._missing: deque[int] = deque(maxlen=COUNTED_PAIRS)
         self._distances: deque[float] = deque(maxlen=EPIPOLAR_FRAMES)
+        self._depths: deque[float] = deque(maxlen=EPIPOLAR_FRAMES)
         self.alarms: dict[str, str] = {}
 
     def check_images(self, stamp_ns: int, left: Grey, right: Grey) -> bool:
@@ -79,10 +84,25 @@ class FrontendHealth:
         usual = float(np.median(self._distances))
         wrong = len(self._distances) == EPIPOLAR_FRAMES and usual > EPIPOLAR_SHARE * self.epipolar_px
         text = (
-            f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off, or the frames of the cameras "
-            "are not optical (z ahead, x right)"
+            f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off, or the frames of the "
+            "cameras are not optical (z ahead, x right)"
         )
         self._set("rig", text if wrong else "")
+        self._check_depths(self._rig.triangulate(pixels, refinements=0)[:, 2])
+
+    def _check_depths(self, depths: Array) -> None:
+        """Report (N,) depths [m] of which most are out of range, so that hardly a point is used; NaN is none."""
+        ahead = depths[np.isfinite(depths)]
+        if len(ahead) < MIN_POINTS:
+            return
+        self._depths.append(float(np.median(ahead)))
+        usual, (nearest, farthest) = float(np.median(self._depths)), self.depth_range_m
+        wrong = len(self._depths) == EPIPOLAR_FRAMES and not nearest <= usual <= farthest
+        text = (
+            f"points are {usual:.3g} m away, at a baseline of {self._rig.baseline_m:.3g} m: check the places of the "
+            f"cameras and their unit (m), or set frontend.min_depth_m ({nearest:g}) and max_depth_m ({farthest:g})"
+        )
+        self._set("depth", text if wrong else "")
 
     def _set(self, subject: str, text: str) -> None:
         if text:

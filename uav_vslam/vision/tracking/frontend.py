@@ -146,7 +146,9 @@ class TrackingFrontend(Frontend):
         """
         found = self._matched(left, right, self._right_guess(self._tracks))
         if len(found) < FEW_TRACKS <= len(self._tracks):
-            found = max(found, self._matched(left, right, self._tracks.pixels + shift_between(left, right)), key=len)
+            shifted = self._matched(left, right, self._tracks.pixels + shift_between(left, right))
+            # Without a match, what was seen at an impossible depth tells why.
+            found = max(found, shifted, key=lambda one: (len(one), 0 if len(one) else len(one.pixels)))
         self._health.check_points(found.pixels)
         pixels, self._tracks = found.pixels[found.good], found.tracks.chosen(found.good)
         return StereoFeatures(stamp_ns, pixels.astype(np.float32), self._tracks.descriptors, self._tracks.ids)
