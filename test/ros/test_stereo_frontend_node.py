@@ -346,6 +346,19 @@ def test_a_camera_info_without_frame_id_is_named(domain_id):
         )
 
 
+def test_the_leading_slash_of_a_frame_is_left_out(domain_id):
+    """tf2 takes no frame with one."""
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        deliver(node, "/tf_static", extrinsics(node))
+        for side in ("left", "right"):
+            info = calibration(side)
+            info.header.frame_id = f"/{side}_optical"
+            deliver(node, f"{side}/camera_info", info)
+        assert node._rig.rig is not None
+        assert node._rig.left_frame("") == "left_optical"
+
+
 def test_an_invalid_transform_is_dropped_and_not_those_that_come_with_it(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node = made()

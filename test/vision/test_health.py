@@ -56,7 +56,9 @@ def test_points_outside_the_lens_do_not_hide_a_bent_rig(rig: StereoRig) -> None:
     assert "2.9 px off their epipolar lines" in alarms_after(rig, pixels, EPIPOLAR_FRAMES)["rig"]
 
 
-@pytest.mark.parametrize(("scale", "said"), [(1.0, ""), (1000.0, "m away, at a baseline of 776 m"), (0.002, "points are 0.14 m away")])
+@pytest.mark.parametrize(
+    ("scale", "said"), [(1.0, ""), (1000.0, "m away, at a baseline of 776 m"), (0.002, "points are 0.14 m away")]
+)
 def test_a_baseline_in_another_unit_is_reported(rig: StereoRig, scale: float, said: str) -> None:
     """No point is at a depth that is allowed, so the back end sees none."""
     left, right = rig.T_body_left, rig.T_body_right

@@ -28,6 +28,7 @@ from uav_vslam.types import NS_PER_S, ImuSample
 MAX_WAITING = 2000  # readings held until the place of the IMU is known
 LATE_S = 2.0  # time of such readings after which its transform is missed: static ones come with the nodes
 MISSING = "transform"  # key in diagnostics of transforms that are still missing
+PUBLISH = "publish it there (/tf is not read), or set input.frames"
 CHANGED = "calibration"  # key of the failure that the calibration received is not the one in use
 
 
@@ -65,11 +66,11 @@ class RigListener:
             return ""
         if sides := self._setup.missing_infos:
             return f"there is no valid camera_info of the {' and the '.join(sides)} camera"
-        return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; publish it, or set input.frames"
+        return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; {PUBLISH}"
 
     def left_frame(self, of_images: str) -> str:
         """Return the frame of the left camera; where nothing else names it, that of its images."""
-        return self._setup.camera_frame("left") or of_images
+        return (self._setup.camera_frame("left") or of_images).lstrip("/")
 
     def restart(self) -> None:
         """Use the newest calibration, if it can be used."""
@@ -279,7 +280,7 @@ class ImuListener:
         if missing:
             self._node.notes[MISSING] = f"/tf_static has no {missing}"
             too_many = len(self._waiting) > MAX_WAITING
-            text = f"/tf_static has no {missing}, the IMU's frame; publish it, or set input.frames"
+            text = f"/tf_static has no {missing}, the IMU's frame; {PUBLISH}"
             if too_many or self._waiting[-1].stamp_ns - self._waiting[0].stamp_ns > LATE_S * NS_PER_S:
                 self._node.report_failure(MISSING, text)
             if too_many:
