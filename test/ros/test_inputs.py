@@ -9,7 +9,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from uav_vslam.ros.inputs import STREAM, Input, image_topics, silent, stopped, unmatched, wrong_type  # noqa: E402
+from uav_vslam.ros.inputs import STREAM, Input, image_topics, mismatch, silent, stopped, unmatched  # noqa: E402
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, RESUMABLE, STATE  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -168,7 +168,7 @@ def test_compressed_images_are_remapped_with_the_raw_ones(listener, remappings, 
     node.destroy_node()
 
 
-def test_compressed_images_under_the_name_of_raw_ones_are_of_the_wrong_type(listener, domain_id):
+def test_compressed_images_under_the_name_of_raw_ones_are_of_the_mismatch(listener, domain_id):
     raw = Input(Image, "image", lambda _: None, STATE, "image")
     compressed = Input(CompressedImage, "image/compressed", lambda _: None, STATE, "image")
     for one in (raw, compressed):
@@ -182,12 +182,24 @@ def test_compressed_images_under_the_name_of_raw_ones_are_of_the_wrong_type(list
     )
     try:
         driver.create_publisher(CompressedImage, "image", STATE)
-        assert spin_until(listener, lambda: wrong_type([raw, compressed], "image", listener) == said)
+        assert spin_until(listener, lambda: mismatch([raw, compressed], "image", listener) == said)
         driver.create_publisher(CompressedImage, "image/compressed", STATE)
-        assert spin_until(listener, lambda: not wrong_type([raw, compressed], "image", listener))
+        assert spin_until(listener, lambda: not mismatch([raw, compressed], "image", listener))
     finally:
         driver.destroy_node()
         rclpy.shutdown(context=context)
+
+
+def test_transforms_that_are_published_without_being_kept_for_late_joiners_are_named(listener):
+    one = Input(String, "static", lambda _: None, LATCHED_BY_MANY, "static", shared=True)
+    one.subscribe(listener)
+    assert mismatch([one], "static", listener) == ""
+    plain = listener.create_publisher(String, "static", 10)
+    said = "published as RELIABLE, VOLATILE; it needs RELIABLE, TRANSIENT_LOCAL"
+    assert spin_until(listener, lambda: mismatch([one], "static", listener) == said)
+    listener.create_publisher(String, "static", LATCHED)
+    assert spin_until(listener, lambda: mismatch([one], "static", listener) == "")
+    listener.destroy_publisher(plain)
 
 
 def test_qos_that_is_overridden_is_that_of_one_topic_and_outlasts_its_driver(listener):

@@ -191,18 +191,25 @@ def type_name(message_type: Any) -> str:
     return f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
 
 
-def wrong_type(inputs: Iterable[Input], topic: str, node: Node) -> str:
-    """Return what a topic is published as, if as nothing that its inputs take: DDS matches no other type, silently."""
+def mismatch(inputs: Iterable[Input], topic: str, node: Node) -> str:
+    """Return why nothing that is published on a topic reaches its inputs: type or QoS, which DDS matches silently."""
     offered, taken = set(), []
     for one in inputs:
         if one.stands_for == topic:
             name, kind = one.subscription.topic_name, type_name(one.message_type)
-            types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
-            if kind in types:
-                return ""
-            offered |= types
+            published = node.get_publishers_info_by_topic(name)
+            offers = [info.qos_profile for info in published if info.topic_type == kind]
+            if offers:
+                return "" if one.subscription.get_publisher_count() else _qos_apart(one.qos, offers)
+            offered |= {info.topic_type for info in published}
             taken.append(kind if name == node.resolve_topic_name(topic) else f"{kind} as {name}")
     return f"published as {' and '.join(sorted(offered))}; it takes {' or '.join(taken)}" if offered else ""
+
+
+def _qos_apart(wanted: QoSProfile, offers: Iterable[QoSProfile]) -> str:
+    offered = {f"{offer.reliability.name}, {offer.durability.name}" for offer in offers}
+    needed = f"{wanted.reliability.name}, {wanted.durability.name}"
+    return f"published as {' and '.join(sorted(offered))}; it needs {needed}"
 
 
 def stopped(inputs: Iterable[Input], now_s: float) -> dict[str, float]:

@@ -23,7 +23,7 @@ from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.diagnostics import status_message
 from uav_vslam.ros.executor import CLOCK
 from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
-from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched, wrong_type
+from uav_vslam.ros.inputs import Input, mismatch, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.parameter_service import AnsweringParameterService
 from uav_vslam.ros.params import VehicleParameters, declare, read
@@ -263,7 +263,7 @@ class VehicleNode(PausableNode):
         for topic in () if self._startup.lasts() else silent(self._inputs):
             resolved = self.resolve_topic_name(topic)
             published = "published, but no message yet" if self.count_publishers(resolved) else "no publisher"
-            waiting.append(f"{resolved} ({wrong_type(self._inputs, topic, self) or published})")
+            waiting.append(f"{resolved} ({mismatch(self._inputs, topic, self) or published})")
         if waiting:  # one line for all: the throttle counts lines of code, not texts
             self.get_logger().warning(f"waiting for {', '.join(waiting)}", throttle_duration_sec=20.0)
         pauses = stopped(self._inputs, time.monotonic())
@@ -273,8 +273,8 @@ class VehicleNode(PausableNode):
     def _health(self) -> tuple[bytes, str]:
         """Return the level and the text of the node's status: failures first, then what most explains the rest."""
         clock = [NO_CLOCK] if self._startup.lacks_clock() else []
-        wrong = {topic: wrong_type(self._inputs, topic, self) for topic in silent(self._inputs)}
-        awaited = [f"{topic} ({text})" if text else topic for topic, text in wrong.items()]
+        why = {topic: mismatch(self._inputs, topic, self) for topic in silent(self._inputs)}
+        awaited = [f"{topic} ({text})" if text else topic for topic, text in why.items()]
         missing, drops = ", ".join([*clock, *awaited]), self._recent_drops.next_report(self.counts)
         pauses = stopped(self._inputs, time.monotonic())
         stops = [_pauses_text(pauses)] if pauses else []
