@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded flight reads back as simulated, and an incomplete recording is refused by name."""
 
+import copy
 import dataclasses
 import itertools
 from collections.abc import Callable
@@ -280,8 +281,20 @@ def test_static_frames_of_another_type_or_not_finite_are_refused(tiny_bag: Path,
         open_flight(rewrite(tiny_bag, tmp_path / "other", replaced), "uav1")
 
 
+def test_an_invalid_transform_of_another_sensor_is_left_out_and_told(tiny_bag: Path, tmp_path: Path) -> None:
+    def with_lidar(built: Any, _: int) -> None:
+        lidar = copy.deepcopy(built.transforms[0])
+        lidar.child_frame_id, lidar.transform.rotation.w = "lidar", np.nan
+        built.transforms.insert(0, lidar)
+
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", edited("/tf_static", with_lidar)), "uav1")
+    assert flight.rig.baseline_m == open_flight(tiny_bag, "uav1").rig.baseline_m
+    (warning,) = [text for text in flight.warnings if "lidar" in text]
+    assert warning.startswith("/tf_static, uav1/base_link to lidar: ")
+
+
 def test_transforms_that_change_are_all_read_and_told(tiny_bag: Path, tmp_path: Path) -> None:
-    (edges,) = (transforms_of(decode(raw)) for raw in iter_raw([tiny_bag]) if raw.topic == "/tf_static")
+    ((edges, _),) = (transforms_of(decode(raw)) for raw in iter_raw([tiny_bag]) if raw.topic == "/tf_static")
     longer = [(parent, child, Pose(T.R, 1.3 * T.t)) for parent, child, T in edges]
     with RawRecorder(tmp_path / "bag") as recorder:
         for raw in iter_raw([tiny_bag]):

@@ -382,7 +382,7 @@ def test_the_recorder_completes_its_bag_at_a_signal(
 def test_constant_frames_on_tf_are_replayed_as_tf_static(bags: list[Path], tmp_path: Path) -> None:
     """The nodes read /tf_static alone."""
     expected, found = (
-        [transforms_of(decode(raw)) for raw in Recording([path]).latched if raw.topic == "/tf_static"]
+        [transforms_of(decode(raw))[0] for raw in Recording([path]).latched if raw.topic == "/tf_static"]
         for path in (bags[0], repeated_on_tf(bags[0], tmp_path / "tf"))
     )
     assert len(expected) == len(found) == 1

@@ -18,7 +18,7 @@ STEP_M = 0.1  # of what moves, from one message to the next
 
 def repeated_on_tf(source: Path, out: Path, *, moving: str = "") -> Path:
     """Copy a bag with the content of /tf_static on /tf, beside the vehicle's pose; one frame there may move, too."""
-    edges = transforms_of(decode(next(iter_raw([source], [TF_STATIC]))))
+    edges, _ = transforms_of(decode(next(iter_raw([source], [TF_STATIC]))))
     moved_m = np.zeros(3)
     with RawRecorder(out) as recorder:
         for raw in iter_raw([source]):

@@ -91,6 +91,7 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
     if setup.imu_unnamed:
         topic = setup.config.topic(setup.vehicle, "imu")
         yield f"{topic} has no frame_id, so the IMU counts as the body; set input.frames.imu if it is elsewhere"
+    yield from setup.frames.faults
     if setup.frames.moved:
         frames = ", ".join(sorted(setup.frames.moved))
         yield f"{TF_STATIC} places {frames} differently from message to message; the last one counts"
@@ -141,7 +142,7 @@ def _initial_state(bags: Sequence[Path], setup: SensorSetup) -> NavEstimate | No
 def _collect(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> None:
     """Read all static transforms, and camera infos until all that is needed is known, or the recording ends."""
     for raw in iter_readable(bags, [TF_STATIC]) if TF_STATIC in topics else ():
-        setup.frames.add(transforms_of(decode(raw)))
+        setup.frames.add(*transforms_of(decode(raw)))
     sides = {setup.config.topic(setup.vehicle, f"{side}_info"): side for side in SIDES}
     for raw in iter_readable(bags, [topic for topic in sides if topic in topics]):
         if not setup.missing_infos:
@@ -161,7 +162,7 @@ def unmoved_edges(bags: Sequence[Path]) -> list[Edge]:
     found = UnmovedFrames()
     for raw in iter_readable(bags, [TF]):
         with suppress(CalibrationError):  # of another frame
-            found.add(transforms_of(decode(raw)))
+            found.add(transforms_of(decode(raw))[0])
     return found.edges
 
 

@@ -22,9 +22,16 @@ class FrameTree:
         self._parents: dict[str, tuple[str, Pose]] = {}  # child -> (parent, T_parent_child)
         self.moved: set[str] = set()  # frames that a later edge has placed elsewhere
         self.borrowed: set[str] = set()  # frames that `borrow` has placed
+        self.faults: dict[str, None] = {}  # what is wrong with edges that were left out
 
-    def add(self, edges: Iterable[Edge]) -> None:
-        """Add edges (parent frame, child frame, T_parent_child); a later one replaces an earlier one."""
+    def add(self, edges: Iterable[Edge], faults: Iterable[str] = ()) -> None:
+        """Add edges (parent frame, child frame, T_parent_child); a later one replaces an earlier one.
+
+        Args:
+            edges: those that are valid.
+            faults: what is wrong with the others.
+        """
+        self.faults |= dict.fromkeys(faults)
         for parent, child, pose in edges:
             before, T = self._parents.get(child, (parent, pose))
             if before != parent or not np.allclose(T.matrix, pose.matrix, atol=SAME_PLACE):
@@ -54,9 +61,10 @@ class FrameTree:
         if root == base_root:
             return T_root_base.inverse() @ T_root_frame
         held = ", ".join(f"{parent} -> {child}" for child, (parent, _) in sorted(self._parents.items())) or "nothing"
+        left_out = f" ({', '.join(self.faults)})" if self.faults else ""
         raise CalibrationError(
-            f"/tf_static does not connect {base} and {frame or 'a frame without a name'}; it holds {held}. Publish "
-            f"that transform, name the frames by input.frames, or give a file with input.calibration"
+            f"/tf_static does not connect {base} and {frame or 'a frame without a name'}; it holds {held}{left_out}. "
+            f"Publish that transform, name the frames by input.frames, or give a file with input.calibration"
         )
 
     def loop(self, frame: str) -> list[str]:

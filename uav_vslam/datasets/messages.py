@@ -295,31 +295,27 @@ def navigation_state_of(built: Any) -> NavEstimate:
     return NavEstimate(NavState(stamp_ns_of(built), pose, *parts[1:]), P)
 
 
-def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
-    """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage.
+def transforms_of(built: Any) -> tuple[list[tuple[str, str, Pose]], list[str]]:
+    """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage, and what is wrong with the others.
+
+    An invalid one may be of a sensor that is not ours: tf2 drops it alone, too.
 
     Raises:
-        CalibrationError: it is another message, or a transform has no valid rotation or is not finite.
+        CalibrationError: it is another message.
     """
     if not hasattr(built, "transforms"):
         raise CalibrationError(f"/tf_static holds {built.__msgtype__}; record tf2_msgs/msg/TFMessage")
-    return [edge_of(stamped) for stamped in built.transforms]
-
-
-def edge_of(stamped: Any) -> tuple[str, str, Pose]:
-    """Return the edge (parent frame, child frame, T_parent_child) of a TransformStamped.
-
-    Raises:
-        CalibrationError: it has no valid rotation or is not finite.
-    """
-    parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
-    try:
-        pose = _pose_of_transform(stamped.transform)
-        if not np.isfinite(pose.matrix).all():
-            raise ValueError("the transform holds NaN or infinity")
-    except ValueError as error:
-        raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish a corrected transform") from None
-    return parent, child, pose
+    edges, faults = [], []
+    for stamped in built.transforms:
+        parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
+        try:
+            pose = _pose_of_transform(stamped.transform)
+            if not np.isfinite(pose.matrix).all():
+                raise ValueError("the transform holds NaN or infinity")
+            edges.append((parent, child, pose))
+        except ValueError as error:
+            faults.append(f"/tf_static, {parent} to {child}: {error}; publish a corrected transform")
+    return edges, faults
 
 
 def _pose_of(built: Any) -> Pose:

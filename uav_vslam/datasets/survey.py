@@ -187,13 +187,13 @@ class _Reader:
         """Add a message; one that can't be read is counted."""
         if raw.topic == TF_STATIC:
             try:
-                self.found.setup.frames.add(transforms_of(decode(raw)))
+                self.found.setup.frames.add(*transforms_of(decode(raw)))
             except (BagError, CalibrationError) as error:
                 self.found.problems.append(str(error))
             return
         if raw.topic == TF:
             with suppress(BagError, CalibrationError):  # of another frame
-                self._unmoved.add(transforms_of(decode(raw)))
+                self._unmoved.add(transforms_of(decode(raw))[0])
             return
         role = self._roles[raw.topic]
         try:

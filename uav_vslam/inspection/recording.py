@@ -17,7 +17,7 @@ from uav_vslam.datasets.survey import Survey, message_count, survey_flight
 from uav_vslam.errors import CalibrationError, UavVslamError
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.inspection import cameras, start, stereo_stamps, timing, topics, views
-from uav_vslam.inspection.finding import Finding, Severity, count, error, ok
+from uav_vslam.inspection.finding import Finding, Severity, count, error, ok, warning
 from uav_vslam.inspection.imu import check_imu, readings_in_body
 from uav_vslam.inspection.imu_noise import NoiseLevels, recommended
 from uav_vslam.inspection.motion import check_attitude, check_scale, is_absurd, scale_of_truth
@@ -160,11 +160,11 @@ def _judge_stamps(survey: Survey, config: VehicleConfig, found: Inspection) -> N
 
 def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
     """Judge calibration and images; return the rig if there is one."""
+    for text in survey.setup.frames.faults:
+        found.findings.append(warning("frames", text, "unit quaternions, finite places", "it is left out"))
     for text in dict.fromkeys(survey.problems):
         if text.startswith(TF_STATIC):
-            found.findings.append(
-                error("frames", text, "unit quaternions, finite places", "publish a corrected transform")
-            )
+            found.findings.append(error("frames", text, "tf2_msgs/msg/TFMessage", "record it again"))
         else:
             found.findings.append(
                 error("calibration files", text, "files of Kalibr, ROS or EuRoC", "correct or replace the file")

@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.frame_tree import SAME_PLACE, Edge
-from uav_vslam.datasets.messages import edge_of
+from uav_vslam.datasets.messages import transforms_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
@@ -139,13 +139,9 @@ class RigListener:
 
 
 def _valid_edges(node: VehicleNode, message: TFMessage) -> list[Edge]:
-    """Return the valid edges of a message; an invalid one may be of a sensor that is not ours, and tf2 drops it too."""
-    edges = []
-    for stamped in message.transforms:
-        try:
-            edges.append(edge_of(stamped))
-        except CalibrationError as error:
-            node.drop("transform", str(error))
+    edges, faults = transforms_of(message)
+    for fault in faults:
+        node.drop("transform", fault)
     return edges
 
 
