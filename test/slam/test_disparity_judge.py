@@ -7,21 +7,23 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import RigConfig, VehicleConfig
+from uav_vslam.estimation.belief import NO_ROWS
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import make_filter
 from uav_vslam.ins.increments import unknown_motion_since
+from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.disparity_judge import JUDGED_AFTER_S, LEVEL_RAD, DisparityJudge
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate
 
 RIG = RigConfig()
+DISPARITY = 15 + 3  # row of the filter's state
 JUDGED_AT = int(JUDGED_AFTER_S * Scenario().frame_rate_hz) + 2  # frame
 
 
 def sigma_px(of: Filter) -> float:
     """Return the standard deviation of the disparity's error, without what the claims add."""
-    row = slice(15 + 3, 15 + 4)
-    return float(np.sqrt(of.belief.covariance(np.zeros(0, np.int64))[row, row].item()))
+    return float(np.sqrt(of.belief.covariance(NO_ROWS)[DISPARITY, DISPARITY]))
 
 
 def started(flight, tilt_rad: float = 0.001) -> tuple[Filter, NavEstimate]:
@@ -65,6 +67,29 @@ def test_what_is_not_judged_when_readings_are_missing_is_trusted(flown, level: b
     judge.before_prediction(f, nothing_known(flight, nav))
     assert sigma_px(f) == pytest.approx(RIG.disparity_sigma_px)
     assert judge.trusting(f) is f
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_until_the_tilt_is_known_evidence_does_not_count_but_what_was_estimated_stays_in_doubt(
+    flown, level: bool
+) -> None:
+    judge, (f, nav) = DisparityJudge(), started(flown(1), 2.0 * LEVEL_RAD)
+    P = f.belief.covariance(NO_ROWS)
+    P[DISPARITY, DISPARITY] = 0.0
+    effect = np.zeros(len(P))
+    effect[0], effect[DISPARITY] = 5.0, 1.0  # metres a pixel
+    f.belief = type(f.belief).from_covariance(P + 0.1 * RIG.disparity_sigma_px**2 * np.outer(effect, effect))
+    if level:
+        judge.after_update(f, nav, by_tracks=False)
+        known = nav.covariance.copy()
+        known[ROTATION, ROTATION] = (0.5 * LEVEL_RAD) ** 2 * np.eye(3)
+        nav = dataclasses.replace(nav, covariance=known)
+    judge.after_update(f, nav, by_tracks=False)
+    found, prior = f.belief.covariance(NO_ROWS), f.disparity_prior
+    assert found[DISPARITY, DISPARITY] == pytest.approx(RIG.disparity_sigma_px**2)
+    assert found[0, DISPARITY] / found[DISPARITY, DISPARITY] == pytest.approx(0.0 if level else 5.0, abs=1e-6)
+    doubt = prior.mean_square(0.0, prior.variance, prior=prior.variance)
+    assert f.nav_estimate().covariance[0, 0] == pytest.approx(P[0, 0] + 5.0**2 * doubt, rel=1e-6)
 
 
 @pytest.mark.slow

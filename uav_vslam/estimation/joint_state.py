@@ -189,15 +189,29 @@ class JointState:
     def _set_disparity_prior(self, variance: float) -> None:
         self._chart = dataclasses.replace(self._chart, errors=self._errors.with_disparity_variance(variance))
 
+    def discard_disparity_evidence(self) -> None:
+        """Know no more of the disparity's error than before the flight; what depends on it still does."""
+        if self._errors.has_disparity:
+            self._restore_disparity(self._errors.disparity_prior.variance)
+
     def forget_disparity(self) -> None:
-        """Know no more of the disparity's error than before the flight."""
+        """Let nothing depend on the disparity's error any more; the state stays as uncertain as the prior made it."""
         if not self._errors.has_disparity:
             return
-        variance = self._errors.disparity_prior.variance
+        prior = self._errors.disparity_prior
+        self._restore_disparity(prior.mean_square(0.0, prior.variance, prior=prior.variance))
         with stamped(self.nav.stamp_ns):
-            self.belief = self.belief.reset_rows(np.array([self._errors.disparity.start]), variance)
-        self._set_disparity_prior(variance)
-        self._set_mean(rig=dataclasses.replace(self.rig_state, disparity_px=0.0))
+            self.belief = self.belief.reset_rows(np.array([self._errors.disparity.start]), prior.variance)
+        self._set_disparity_prior(prior.variance)
+
+    def _restore_disparity(self, variance: float) -> None:
+        """Replace the marginal of the disparity's error by N(0, variance) [px^2]; the conditional of the rest stays."""
+        row = self._errors.disparity.start
+        with stamped(self.nav.stamp_ns):
+            column = self.belief.column(row)
+            belief = self.belief.information_changed(row, 1.0 / variance - 1.0 / float(column[row]))
+            self._set_disparity_prior(variance)
+            self.correct(belief, -self.rig_state.disparity_px / column[row] * column)
 
     def expect_time_offset(self, mean_s: float) -> None:
         """Move the offset of the cameras' clock [s], if it is a state, and what depends on it; no variance changes."""

@@ -2,7 +2,8 @@
 """When the motion may judge the disparity's error.
 
 Not while the tilt or the velocity may be wrong, whose corrections look like a wrong calibration; nor where readings of
-the IMU are missing, since the motion is then no measure of it.
+the IMU are missing, since the motion is then no measure of it. What has been estimated by then stays as uncertain as a
+calibration in doubt makes it.
 """
 
 import copy
@@ -30,6 +31,7 @@ class DisparityJudge:
     def __init__(self) -> None:
         self._level_ns: int | None = None  # since when the tilt is known
         self._has_judged = self._has_ended = False
+        self._was_tilted = False
 
     def before_prediction(self, slam_filter: Filter, increment: ImuIncrement) -> None:
         """End before the first motion that readings are missing of; what is not judged by then is trusted."""
@@ -51,8 +53,11 @@ class DisparityJudge:
             return
         if self._level_ns is None:
             if np.diagonal(nav.covariance)[ROTATION][:2].max() > LEVEL_RAD**2:
-                slam_filter.forget_disparity()
+                slam_filter.discard_disparity_evidence()
+                self._was_tilted = True
                 return
+            if self._was_tilted:
+                slam_filter.forget_disparity()
             if by_tracks:
                 slam_filter.expect_disparity(slam_filter.disparity_prior.unjudged_variance)
             self._level_ns = nav.state.stamp_ns
