@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibrations of other tools: the same rig from Kalibr's, ROS's and EuRoC's files."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -195,6 +196,13 @@ WRONG: dict[str, tuple[Any, str]] = {
     "unknown lens": ({"cam0": kalibr_camera(LEFT) | {"distortion_model": "fov"}}, "'fov' is not supported"),
     "no intrinsics": ({"cam0": {"camera_model": "pinhole"}}, "resolution is missing"),
     "words for numbers": ({"cam0": kalibr_camera(LEFT) | {"intrinsics": ["a", 1, 2, 3]}}, "malformed"),
+    "transposed": (
+        {"cam0": kalibr_camera(LEFT) | {"T_cam_imu": RIG.T_body_left.matrix.T.tolist()}},
+        r"cam0: T_cam_imu is no rotation and translation: .* by rows",
+    ),
+    "no rotation": ({"cam0": kalibr_camera(LEFT) | {"T_cam_imu": np.diag([1, 1.02, 1, 1]).tolist()}}, "no rotation"),
+    "place that is none": ({"cam0": kalibr_camera(LEFT) | {"T_cam_imu": np.eye(4)[:2].tolist()}}, "no rotation"),
+    "no clock": ({"cam0": kalibr_camera(LEFT) | {"timeshift_cam_imu": math.nan}}, "timeshift_cam_imu is nan"),
     "three cameras": ({f"cam{k}": kalibr_camera(LEFT) for k in range(3)}, "3 cameras"),
 }
 

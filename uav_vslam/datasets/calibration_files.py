@@ -9,6 +9,7 @@ Cameras count in the order of the files: the first is the left one. The body is 
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,6 +42,7 @@ NOISE = {  # of Kalibr and EuRoC: settings of ours
     "gyroscope_random_walk": "imu.gyro_bias_walk",
     "accelerometer_random_walk": "imu.accel_bias_walk",
 }
+ORTHOGONAL = 5e-3  # largest deviation of R R^T from the identity: three decimals
 EUROC_SENSORS = ("cam0/sensor.yaml", "cam1/sensor.yaml", "imu0/sensor.yaml")
 
 
@@ -137,7 +139,7 @@ def yaml_tree(text: str, path: Path) -> dict[str, Any]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # editors may write a byte order mark
     except OSError as error:
         raise CalibrationError(f"{path}: can't be read ({error.strerror})") from None
     except ValueError as error:
@@ -215,13 +217,14 @@ def _of_kalibr(tree: Tree) -> Calibration:
         if not cameras:
             T_left_cam = Pose.identity()
         elif "T_cn_cnm1" in one:  # maps the previous camera's coordinates to this one's
-            T_left_cam = T_left_previous = T_left_previous @ _pose(one["T_cn_cnm1"]).inverse()
+            T_left_previous = T_left_previous @ rigid_pose(one["T_cn_cnm1"], f"{name}: T_cn_cnm1").inverse()
+            T_left_cam = T_left_previous
         cameras.append(
             CameraCalibration(
                 camera(one["resolution"], one["intrinsics"], one["distortion_model"], one["distortion_coeffs"]),
-                _pose(one["T_cam_imu"]).inverse() if "T_cam_imu" in one else None,
+                rigid_pose(one["T_cam_imu"], f"{name}: T_cam_imu").inverse() if "T_cam_imu" in one else None,
                 T_left_cam,
-                float(one.get("timeshift_cam_imu", 0.0)),
+                _offset_s(one.get("timeshift_cam_imu", 0.0)),
             )
         )
     return Calibration(tuple(cameras))
@@ -245,12 +248,13 @@ def _of_ros(tree: Tree) -> Calibration:
 def _of_euroc(tree: Tree) -> Calibration:
     model = tree.get("distortion_model", "radial-tangential")
     found = camera(tree["resolution"], tree["intrinsics"], model, tree["distortion_coefficients"])
-    return Calibration((CameraCalibration(found, _pose(tree["T_BS"]["data"])),))
+    return Calibration((CameraCalibration(found, rigid_pose(tree["T_BS"]["data"], "T_BS")),))
 
 
 def _of_euroc_imu(tree: Tree) -> Calibration:
     """Return the content of an IMU's sensor.yaml; Kalibr's imu.yaml has the same keys, but for the pose."""
-    return Calibration(noise=_noise(tree), T_body_imu=_pose(tree["T_BS"]["data"]) if "T_BS" in tree else None)
+    T_body_imu = rigid_pose(tree["T_BS"]["data"], "T_BS") if "T_BS" in tree else None
+    return Calibration(noise=_noise(tree), T_body_imu=T_body_imu)
 
 
 def _related(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
@@ -273,8 +277,36 @@ def _noise(tree: Tree) -> dict[str, float]:
     return {setting: float(tree[name]) for name, setting in NOISE.items() if name in tree}
 
 
-def _pose(values: Any) -> Pose:
-    return Pose.from_matrix(np.array(values, dtype=float).reshape(4, 4))
+def rigid_pose(values: Any, name: str) -> Pose:
+    """Return the pose of a 4x4 matrix, or of the 12 numbers of its upper rows.
+
+    Args:
+        values: of the matrix, by rows.
+        name: of the matrix, for errors.
+
+    Raises:
+        CalibrationError: it is no rotation and translation: transposed, with a typing error, or not filled in.
+        ValueError: it has another number of columns.
+    """
+    rows = np.array(values, dtype=float).reshape(-1, 4)
+    R, t = np.split(rows[:3], [3], axis=1)
+    if not (len(rows) in (3, 4) and is_rotation(R) and np.isfinite(t).all() and (rows[3:] == [0, 0, 0, 1]).all()):
+        raise CalibrationError(
+            f"{name} is no rotation and translation: {rows.tolist()}; give it by rows, of which a fourth is 0 0 0 1"
+        )
+    return Pose(R.copy(), t.ravel())
+
+
+def is_rotation(R: Array) -> bool:
+    """Return whether a (3, 3) matrix is a rotation, but for the rounding of a text file."""
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= ORTHOGONAL and np.linalg.det(R) > 0)
+
+
+def _offset_s(value: Any) -> float:
+    offset_s = float(value)
+    if not math.isfinite(offset_s):
+        raise ValueError(f"timeshift_cam_imu is {value}")
+    return offset_s
 
 
 def _matrix(entry: Tree, rows: int, columns: int) -> Array:

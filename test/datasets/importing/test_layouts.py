@@ -270,6 +270,7 @@ def test_poses_of_kitti_that_are_fewer_than_its_pictures_are_told(
     ("file", "old", "new", "message"),
     [
         ("calib.txt", r"P0: \S+", "P0: 0.0", "calib.txt: P0 is no K [I | t] with focal lengths above 0"),
+        ("calib.txt", r"Tr: \S+", "Tr: 0.5", "calib.txt: Tr is no rotation and translation"),
         ("times.txt", r"\n\S+\n$", "\n1e300\n", "times.txt:24: '1e300' is no time"),
         ("times.txt", r"\n\S+\n$", "\n3e9\n", "times.txt:24: '3e9' is no time"),
     ],
@@ -293,6 +294,13 @@ def test_a_raw_drive_of_a_single_reading_is_refused(rectified: Flight, tmp_path:
     error = capsys.readouterr().err
     assert "a single reading" in error
     assert error.count("\n") == 1
+
+
+def test_a_place_of_the_imu_that_is_no_rotation_is_refused(rectified: Flight, tmp_path: Path, capsys: Capsys) -> None:
+    sequence, oxts = write_kitti(rectified, tmp_path / "kitti")
+    (oxts.parents[1] / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 0.9\nT: -0.8 0.3 -0.8\n")
+    assert main(["import", "kitti", str(sequence), str(tmp_path / "out"), "--oxts", str(oxts)]) == 2
+    assert "calib_imu_to_velo.txt: R and T is no rotation" in capsys.readouterr().err
 
 
 def test_poses_of_kitti_that_are_no_rotation_are_left_out(rectified: Flight, tmp_path: Path) -> None:

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.calibration_files import is_rotation, rigid_pose
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.kitti_oxts import OXTS_NOISE, OxtsRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
 from uav_vslam.datasets.importing.pictures import Picture, PicturePair, existing, first_readable, frames, paired
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.rigs import is_rotation
 from uav_vslam.datasets.importing.source import Source
 from uav_vslam.datasets.importing.tables import UNREADABLE, in_range, numbered_lines, numbers, table_of
 from uav_vslam.errors import BagError, CalibrationError
@@ -116,7 +116,7 @@ def _read_calibration(path: Path, problems: Problems) -> _Calibration:
             problems.add(UNREADABLE, path, f"a row must hold a name and 12 numbers ({error})", line=line)
     projections = {k: matrices[f"P{k}"] for k in range(4) if f"P{k}" in matrices}
     Tr = matrices.get("Tr", matrices.get("Tr_velo_to_cam"))
-    return _Calibration(projections, None if Tr is None else Pose(Tr[:, :3].copy(), Tr[:, 3].copy()), path)
+    return _Calibration(projections, None if Tr is None else rigid_pose(Tr, f"{path}: Tr"), path)
 
 
 def _times(path: Path) -> NDArray[np.int64]:
@@ -177,7 +177,7 @@ def _truth(
     sequence: Path, stamps_ns: NDArray[np.int64], T_body_cam0: Pose, T_world_first: Pose, problems: Problems
 ) -> tuple[Motion | None, tuple[str, ...]]:
     """Return the motion of the body, None if the sequence has no poses, and a warning if rows are missing."""
-    path = sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
+    path = sequence.resolve().parent.parent / "poses" / f"{sequence.resolve().name}.txt"
     if not path.is_file():
         return None, ()
     lines = list(numbered_lines(path))

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.calibration_files import rigid_pose
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, motion_of_poses
 from uav_vslam.datasets.importing.pictures import PicturePair, pairs_with_readings
 from uav_vslam.datasets.importing.problems import Problems
@@ -148,7 +149,7 @@ def read_oxts(folder: Path, *, first_frame: int, image_times: Path | None, probl
         raise BagError(f"{listed}: a single reading can be used, which covers no picture; give the whole drive")
     pictures = image_times or folder.parent / "image_00" / "timestamps.txt"
     stamps = np.array([_picture_stamp_ns(pictures, *numbered) for numbered in numbered_lines(pictures)], np.int64)
-    date_folder = folder.resolve().parents[1]
+    date_folder = folder.resolve().parent.parent
     return OxtsRecording(
         Table(table.stamps_ns, np.column_stack([table.values[:, GYRO], table.values[:, ACCEL]])),
         _motion(table, listed),
@@ -184,6 +185,7 @@ def _T_velo_imu(path: Path) -> Pose:
     """Return the pose in a file with rows `R:` and `T:`."""
     rows = dict(line.split(":", 1) for line in read_text(path).splitlines() if ":" in line)
     try:
-        return Pose(np.array(numbers(rows["R"].split())).reshape(3, 3), np.array(numbers(rows["T"].split())).reshape(3))
+        R, t = (np.array(numbers(rows[name].split())).reshape(3, -1) for name in ("R", "T"))
+        return rigid_pose(np.column_stack([R, t]), f"{path}: R and T")
     except (KeyError, ValueError) as error:
         raise CalibrationError(f"{path}: rows 'R:' with 9 and 'T:' with 3 numbers are needed ({error})") from None

@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.calibration_files import camera, read_calibration
+from uav_vslam.datasets.calibration_files import camera, read_calibration, rigid_pose
 from uav_vslam.datasets.importing.kagaru_settings import CalibrationSettings
 from uav_vslam.errors import CalibrationError, ConfigError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import NS_PER_S
-
-ORTHOGONAL = 1e-3  # largest deviation of R R^T from the identity
 
 
 def rig_of_files(files: Sequence[Path]) -> tuple[StereoRig, int]:
@@ -59,15 +57,7 @@ def turned(rig: StereoRig, R_body_imu: NDArray[np.float64]) -> StereoRig:
     return StereoRig(rig.left, rig.right, T_body_imu @ rig.T_body_left, T_body_imu @ rig.T_body_right)
 
 
-def is_rotation(R: NDArray[np.float64]) -> bool:
-    """Return whether a (3, 3) matrix is a rotation, but for the rounding of a text file."""
-    return bool(np.abs(R @ R.T - np.eye(3)).max() <= ORTHOGONAL and np.linalg.det(R) > 0)
-
-
 def _pose(numbers: Sequence[float], name: str) -> Pose:
     if len(numbers) != 16:
         raise ConfigError(f"{name} has {len(numbers)} numbers; give a 4x4 matrix by rows")
-    pose = Pose.from_matrix(np.array(numbers).reshape(4, 4))
-    if not is_rotation(pose.R):
-        raise CalibrationError(f"{name} is no rotation and translation; give a 4x4 matrix by rows")
-    return pose
+    return rigid_pose(numbers, name)
