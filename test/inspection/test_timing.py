@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_vslam.inspection.timing import check_imu_rate, check_order
+from uav_vslam.inspection.timing import check_image_rate, check_imu_rate, check_order
 
 EVEN_NS = np.arange(2000, dtype=np.int64) * 5_000_000
 
@@ -22,6 +22,15 @@ def test_bursts_that_are_far_apart_are_no_gaps_in_the_recording() -> None:
     (finding,) = check_imu_rate(number // 20 * 100_000_000 + number % 20 * 50_000)
     assert (finding.subject, finding.severity.value) == ("IMU stamps", "error")
     assert "let the driver stamp the time of each reading" in finding.remedy
+
+
+def test_rates_that_no_sensor_has_are_stamps_in_another_unit() -> None:
+    images_ns = np.arange(100, dtype=np.int64) * 100_000_000 // 1000
+    (imu,) = check_imu_rate(EVEN_NS // 1000)
+    (images,) = check_image_rate("left images", images_ns, tracked_gap_s=None)
+    for finding, seen in ((imu, "200000 Hz"), (images, "10000 Hz")):
+        assert (finding.severity.value, finding.seen) == ("error", f"{seen} on average")
+        assert "microseconds" in finding.remedy
 
 
 def test_a_pause_longer_than_the_flight_is_a_gap_and_no_bursts() -> None:

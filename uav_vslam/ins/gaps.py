@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 MISSING = 1.5  # usual spacings, from which on a reading is missing
 REVERSAL_S = 0.1  # in which a motion may reverse
 BLIND_S = 0.3  # after longer without a reading the motion is unknown
+FASTEST_HZ = 20_000.0  # of any IMU; a higher mean rate shows stamps in another unit
 LEAP_S = 1.0  # after longer without a reading or an image it is unknown, too, how much time has passed
 UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] of an unknown rotation rate
 UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] of an unknown acceleration

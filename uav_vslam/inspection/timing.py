@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.bag_flight import REORDER_NS
 from uav_vslam.datasets.survey import Stream
 from uav_vslam.geometry.stereo import SIDES
-from uav_vslam.ins.gaps import BLIND_S, bursts_hz
+from uav_vslam.ins.gaps import BLIND_S, FASTEST_HZ, bursts_hz
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
@@ -47,8 +47,9 @@ def check_imu_rate(stamps_ns: Stamps) -> list[Finding]:
     period_s = _period_s(stamps_ns)
     if not np.isfinite(period_s):
         return []
+    if found := _impossible_rate("IMU", stamps_ns, FASTEST_HZ):
+        return found
     rate_hz = 1.0 / period_s
-    found = []
     if period_s > MAX_GAP_S:
         remedy = "record the IMU at its full rate"
         found.append(
@@ -88,6 +89,8 @@ def check_image_rate(name: str, stamps_ns: Stamps, *, tracked_gap_s: float | Non
     period_s = _period_s(stamps_ns)
     if not np.isfinite(period_s):
         return []
+    if found := _impossible_rate(name, stamps_ns, limits.MAX_IMAGE_RATE_HZ):
+        return found
     gaps = _gaps(stamps_ns, limits.MISSING_PERIODS * period_s)
     if not len(gaps):
         return [ok(f"{name} rate", f"{1.0 / period_s:.2f} Hz, no gaps")]
@@ -158,6 +161,15 @@ def span_text(streams: Mapping[str, Stream]) -> str:
     """Return how long the images of the left camera last, in words."""
     stamps = next((streams[side].stamps_ns for side in SIDES if side in streams and len(streams[side])), None)
     return "no images" if stamps is None else f"{(stamps.max() - stamps.min()) / NS_PER_S:.1f} s of images"
+
+
+def _impossible_rate(name: str, stamps_ns: Stamps, most_hz: float) -> list[Finding]:
+    """Check the mean rate of (N,) stamps, which are not all the same, against what no sensor exceeds."""
+    rate_hz = (len(np.unique(stamps_ns)) - 1) * NS_PER_S / float(np.ptp(stamps_ns))
+    if rate_hz <= most_hz:
+        return []
+    remedy = "give stamps in seconds and nanoseconds: these seem to be in another unit, such as microseconds"
+    return [error(f"{name} rate", f"{rate_hz:.0f} Hz on average", f"at most {most_hz:.0f} Hz", remedy)]
 
 
 def _period_s(stamps_ns: Stamps) -> float:

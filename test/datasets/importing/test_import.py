@@ -146,6 +146,16 @@ def test_lines_whose_stamps_ros_can_not_hold_are_left_out(
     assert open_flight(tmp_path / "out", "uav1").frame_count == 5
 
 
+def test_readings_stamped_in_microseconds_are_refused(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = mav0 / "imu0" / "data.csv"
+    rows = (row.split(",", 1) for row in path.read_text().splitlines() if not row.startswith("#"))
+    path.write_text("".join(f"{int(stamp) // 1000},{rest}\n" for stamp, rest in rows))
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 2
+    assert f"{path}: 200000 readings a second, which no IMU gives; check the unit" in capsys.readouterr().err
+
+
 def test_truth_whose_quaternion_is_none_is_left_out_and_rounding_is_not(mav0: Path, tmp_path: Path) -> None:
     path = mav0 / "state_groundtruth_estimate0" / "data.csv"
     rows = truth_rows()

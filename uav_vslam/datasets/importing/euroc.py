@@ -23,7 +23,7 @@ from uav_vslam.datasets.importing.pictures import (
 )
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.source import Source
-from uav_vslam.datasets.importing.tables import read_table, read_text, require_unit
+from uav_vslam.datasets.importing.tables import read_imu_table, read_table, read_text, require_unit
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -55,7 +55,7 @@ def read_euroc(
         raise BagError(f"{mav0} has no folder cam0; give the sequence's mav0 folder")
     left, T_body_left = _camera(mav0 / "cam0")
     right, T_body_right = _camera(mav0 / "cam1")
-    imu = read_table(mav0 / "imu0" / "data.csv", 6, problems)
+    imu = read_imu_table(mav0 / "imu0" / "data.csv", problems)
     truth_file = mav0 / TRUTH_FOLDER / "data.csv"
     truth = Motion(read_table(truth_file, 16, problems, check=lambda row: require_unit(row[3:7])), truth_file)
     pairs, without = pairs_with_readings(asl_pairs(mav0, problems), imu)

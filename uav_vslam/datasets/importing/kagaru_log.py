@@ -14,7 +14,7 @@ from uav_vslam.datasets.importing.columns import read_columns
 from uav_vslam.datasets.importing.kagaru_settings import LogSettings
 from uav_vslam.datasets.importing.motion import Motion, motion_of_poses
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.tables import Table, require_unit
+from uav_vslam.datasets.importing.tables import Table, require_rate_of_an_imu, require_unit
 from uav_vslam.errors import ConfigError
 from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic
 from uav_vslam.geometry.rotation import (
@@ -46,6 +46,7 @@ def read_imu(folder: Path, log: LogSettings, problems: Problems) -> Table:
         raise ConfigError("log.file, log.gyro and log.accel must be given: the graph needs an IMU")
     file = log.text_file(folder / log.file)
     table = read_columns(file, log.clock, [*log.gyro, *log.accel], problems)
+    require_rate_of_an_imu(table, file.path)
     R_body_sensor = rotation_to_flu(log.body_axes)
     gyro = table.values[:, :3] * (np.pi / 180.0 if log.gyro_unit == "deg/s" else 1.0)
     accel = table.values[:, 3:] * (GRAVITY if log.accel_unit == "g" else 1.0)

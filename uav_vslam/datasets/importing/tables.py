@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.errors import BagError
+from uav_vslam.ins.gaps import FASTEST_HZ
 from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -94,6 +95,17 @@ def require_unit(quaternion: Sequence[float]) -> None:
         raise ValueError(f"the quaternion's norm is {norm:g}, not 1")
 
 
+def read_imu_table(path: Path, problems: Problems) -> Table:
+    """Read a csv file of stamps [ns], angular rate [rad/s] and specific force [m/s^2], as EuRoC has it.
+
+    Raises:
+        BagError: the file can't be read or has no valid row, or the stamps are in another unit.
+    """
+    readings = read_table(path, 6, problems)
+    require_rate_of_an_imu(readings, path)
+    return readings
+
+
 def read_table(
     path: Path, columns: int, problems: Problems, *, check: Callable[[list[float]], None] | None = None
 ) -> Table:
@@ -122,6 +134,18 @@ def read_table(
             continue
         rows.append((stamp, line, values))
     return table_of(rows, columns, path, problems)
+
+
+def require_rate_of_an_imu(readings: Table, path: Path) -> None:
+    """Refuse readings that come faster than any IMU's: their stamps are in another unit.
+
+    Raises:
+        BagError: they do.
+    """
+    span_ns = max(1, int(readings.stamps_ns[-1] - readings.stamps_ns[0]))
+    rate_hz = (len(readings) - 1) * NS_PER_S / span_ns
+    if rate_hz > FASTEST_HZ:
+        raise BagError(f"{path}: {rate_hz:.0f} readings a second, which no IMU gives; check the unit of the stamps")
 
 
 def table_of(rows: Iterable[tuple[int, int, list[float]]], columns: int, path: Path, problems: Problems) -> Table:

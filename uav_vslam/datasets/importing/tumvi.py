@@ -16,7 +16,7 @@ from uav_vslam.datasets.importing.pictures import covered_pairs, frames, pairs_w
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
-from uav_vslam.datasets.importing.tables import read_table, require_unit
+from uav_vslam.datasets.importing.tables import read_imu_table, read_table, require_unit
 from uav_vslam.errors import BagError, CalibrationError
 
 TRUTH_FILE = "mav0/mocap0/data.csv"
@@ -55,7 +55,7 @@ def read_tumvi(
     problems = problems or Problems()
     files = calibration or _calibration_files(folder)
     rig, offset_ns = rig_of_files(files)
-    imu = read_table(folder / "mav0" / "imu0" / "data.csv", 6, problems)
+    imu = read_imu_table(folder / "mav0" / "imu0" / "data.csv", problems)
     pairs, without = pairs_with_readings(shifted(asl_pairs(folder / "mav0", problems), offset_ns), imu)
     notes = [f"calibration: {', '.join(map(str, files))}", *without]
     truth = _truth(folder / TRUTH_FILE, problems)
