@@ -146,6 +146,21 @@ def test_lines_whose_stamps_ros_can_not_hold_are_left_out(
     assert open_flight(tmp_path / "out", "uav1").frame_count == 5
 
 
+def test_further_columns_and_quotes_of_a_list_are_no_part_of_a_name(mav0: Path) -> None:
+    path = mav0 / "cam1" / "data.csv"
+    path.write_text("".join(f'{s},"{s}.png",,1\n' for s in range(100_000_000, 350_000_000, 50_000_000)))
+    assert read_euroc(mav0).frame_count == 5
+
+
+@pytest.mark.parametrize("stamp", ["1403715273262142976.0", "1.403715273262142976e+18", "1403715273.262142976", ""])
+def test_stamps_that_are_no_whole_nanoseconds_are_left_out(stamp: str, tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(f"{stamp},1\n20,2\n")
+    problems = Problems()
+    assert read_table(path, 1, problems).stamps_ns.tolist() == [20]
+    assert f"the stamp {stamp!r} is no whole number of nanoseconds" in problems.lines[0]
+
+
 def test_readings_stamped_in_microseconds_are_refused(
     mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

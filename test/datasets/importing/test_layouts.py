@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from data_sets import Flight, fisheye_rig, fly, rectified_rig, write_direct, write_kitti, write_tumvi
 
 from uav_vslam.cli.main import main
@@ -110,6 +111,30 @@ def test_kalibrs_clock_offset_moves_the_images_to_the_imus_clock(
     stamps = [event.stamp_ns for event in found.iter_events() if isinstance(event, StereoFrame)]
     assert set(stamps) <= {frame.stamp_ns for frame in fisheye.frames}
     assert len(stamps) == len(fisheye.frames)
+
+
+def test_what_is_wrong_in_a_tumvi_sequence_is_one_line(fisheye: Flight, tmp_path: Path, capsys: Capsys) -> None:
+    folder = write_tumvi(fisheye, tmp_path / "tumvi")
+    chain, poses = folder / "dso" / "camchain.yaml", folder / "mav0" / "mocap0" / "data.csv"
+    tree = yaml.safe_load(chain.read_text())
+    tree["cam0"]["timeshift_cam_imu"] = 5.0
+    for source, path, text, said in (
+        (folder / "mav0", chain, chain.read_text(), "mav0 has no folder mav0; give the folder that holds it"),
+        (
+            folder,
+            chain,
+            yaml.safe_dump(tree),
+            "ground truth from 1283212800.000 to 1283212803.221 s (images are",
+        ),
+        (folder, poses, "#timestamp,x\n", "mocap0/data.csv: no row holds a stamp and 7 numbers; without this file"),
+    ):
+        before = path.read_text()
+        path.write_text(text)
+        assert main(["import", "tumvi", str(source), str(tmp_path / "out")]) == 2
+        path.write_text(before)
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
 
 
 def test_a_tumvi_sequence_without_poses_starts_in_flight(tumvi: Path, tmp_path: Path, capsys: Capsys) -> None:

@@ -20,6 +20,7 @@ from uav_vslam.datasets.importing.pictures import (
     paired,
     pairs_with_readings,
     read_list,
+    uncovered_text,
 )
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.source import Source
@@ -58,12 +59,11 @@ def read_euroc(
     imu = read_imu_table(mav0 / "imu0" / "data.csv", problems)
     truth_file = mav0 / TRUTH_FOLDER / "data.csv"
     truth = Motion(read_table(truth_file, 16, problems, check=lambda row: require_unit(row[3:7])), truth_file)
-    pairs, without = pairs_with_readings(asl_pairs(mav0, problems), imu)
+    recorded = asl_pairs(mav0, problems)
+    pairs, without = pairs_with_readings(recorded, imu)
     pairs, outside = covered_pairs(pairs, truth)
     if not pairs:
-        raise BagError(
-            f"{mav0}: no pair of images with equal stamps is covered by IMU readings and ground truth; check data.csv"
-        )
+        raise BagError(f"{mav0}: {uncovered_text(recorded, imu, truth)}; check the stamps in data.csv")
     rig = StereoRig(left, right, T_body_left, T_body_right)
     flight = FlightRecording(
         vehicle=vehicle,

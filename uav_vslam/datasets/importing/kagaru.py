@@ -14,7 +14,7 @@ from uav_vslam.datasets.importing.kagaru_log import contradictions, read_imu, re
 from uav_vslam.datasets.importing.kagaru_pictures import encoding_of, read_pairs
 from uav_vslam.datasets.importing.kagaru_settings import read_settings
 from uav_vslam.datasets.importing.motion import InitialSigma, imu_samples
-from uav_vslam.datasets.importing.pictures import covered_pairs, frames, pairs_with_readings, shifted
+from uav_vslam.datasets.importing.pictures import covered_pairs, frames, pairs_with_readings, shifted, uncovered_text
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files, rig_of_values, turned
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
@@ -63,9 +63,7 @@ def read_kagaru(
     else:
         notes.append("the log has no pose: start.method is in_flight, and nothing can be evaluated")
     if not flown:
-        raise BagError(
-            f"{folder}: none of {len(pairs)} image pairs is covered by the log; check the stamps and offsets"
-        )
+        raise BagError(f"{folder}: {uncovered_text(pairs, imu, truth)}; check time_units and time_offset_s")
     flight = FlightRecording(
         vehicle=vehicle,
         rig=rig,

@@ -18,7 +18,15 @@ from uav_vslam.datasets.calibration_files import is_rotation, rigid_pose
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.kitti_oxts import OXTS_NOISE, OxtsRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
-from uav_vslam.datasets.importing.pictures import Picture, PicturePair, existing, first_readable, frames, paired
+from uav_vslam.datasets.importing.pictures import (
+    Picture,
+    PicturePair,
+    existing,
+    first_readable,
+    frames,
+    paired,
+    uncovered_text,
+)
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.source import Source
 from uav_vslam.datasets.importing.tables import UNREADABLE, in_range, numbered_lines, numbers, table_of
@@ -82,10 +90,12 @@ def read_kitti(
     calibration = _read_calibration(sequence / "calib.txt", problems)
     relative_ns = _times(sequence / "times.txt")
     stamps_ns = oxts.stamps_of(relative_ns) if oxts else relative_ns
-    pairs = _pairs(sequence, cameras, stamps_ns, problems)
-    pairs, notes = oxts.covered(pairs) if oxts else (pairs, (NO_IMU,))
-    if not pairs:
-        raise BagError(f"{sequence}: no pictures of image_{cameras[0]} and image_{cameras[1]} pair up, or none has IMU")
+    recorded = _pairs(sequence, cameras, stamps_ns, problems)
+    if not recorded:
+        raise BagError(f"{sequence}: no pictures of image_{cameras[0]} and image_{cameras[1]} pair up")
+    pairs, notes = oxts.covered(recorded) if oxts else (recorded, (NO_IMU,))
+    if oxts and not pairs:
+        raise BagError(f"{sequence}: {uncovered_text(recorded, oxts.imu, None)}; give the drive of this sequence")
     T_body_cam0 = oxts.T_body_cam0(calibration.T_cam0_velo) if oxts else T_FLU_OPTICAL
     T_world_first = oxts.pose_at(int(stamps_ns[0])) if oxts else Pose.identity()
     truth, warnings = _truth(sequence, stamps_ns, T_body_cam0, T_world_first, problems)

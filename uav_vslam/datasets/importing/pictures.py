@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
 from uav_vslam.datasets.importing.motion import Motion
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, Table, in_range, numbered_lines
+from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, Table, numbered_lines, whole_ns
 from uav_vslam.datasets.messages import decoded, halved
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.search import nearest
+from uav_vslam.types import NS_PER_S
 
 COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 MISSING, UNPAIRED = "missing or broken pictures", "pictures without a partner"
@@ -49,7 +50,7 @@ class PicturePair:
 
 
 def read_list(path: Path, folder: Path, problems: Problems) -> list[Picture]:
-    """Return the existing pictures of a csv file of stamps [ns] and names.
+    """Return the existing pictures of a csv file of stamps [ns] and names; more columns are ignored.
 
     Args:
         path: the file.
@@ -61,11 +62,12 @@ def read_list(path: Path, folder: Path, problems: Problems) -> list[Picture]:
     """
     listed: list[tuple[int, Path, int]] = []
     for line, text in numbered_lines(path):
-        stamp, _, name = text.partition(",")
+        stamp, *others = text.split(",")
+        name = others[0].strip().strip('"') if others else ""
         try:
-            if not name.strip():
+            if not name:
                 raise ValueError("it has no name")
-            listed.append((in_range(int(stamp)), folder / name.strip(), line))
+            listed.append((whole_ns(stamp), folder / name, line))
         except ValueError as error:
             problems.add(UNREADABLE, path, f"{text!r} is not 'stamp,filename' ({error})", line=line)
     return existing(listed, path, problems)
@@ -125,6 +127,17 @@ def covered_pairs(pairs: list[PicturePair], truth: Motion) -> tuple[list[Picture
     covered = [pair for pair in pairs if truth.covers(pair.stamp_ns)]
     outside = len(pairs) - len(covered)
     return covered, (f"{outside} image pairs before or after the ground truth are left out",) if outside else ()
+
+
+def uncovered_text(pairs: list[PicturePair], imu: Table, truth: Motion | None) -> str:
+    """Return in words why of all pairs none is covered by readings and, if there is any, ground truth."""
+    if not pairs:
+        return "no pictures of the two cameras pair up"
+    stamps = {"pairs": np.array([pair.stamp_ns for pair in pairs]), "IMU readings": imu.stamps_ns}
+    if truth:
+        stamps["ground truth"] = truth.stamps_ns
+    times = ", ".join(f"{what} from {ns[0] / NS_PER_S:.3f} to {ns[-1] / NS_PER_S:.3f} s" for what, ns in stamps.items())
+    return f"none of {len(pairs)} image pairs is covered by {' and '.join([*stamps][1:])}: {times}"
 
 
 def shifted(pairs: list[PicturePair], offset_ns: int) -> list[PicturePair]:

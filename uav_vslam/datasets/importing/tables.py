@@ -84,6 +84,19 @@ def in_range(stamp_ns: int) -> int:
     return stamp_ns
 
 
+def whole_ns(text: str) -> int:
+    """Return a stamp [ns] that is written in digits alone: a float of seconds since 1970 has lost its nanoseconds.
+
+    Raises:
+        ValueError: it is none, or ROS can't hold it.
+    """
+    try:
+        stamp_ns = int(text)
+    except ValueError:
+        raise ValueError(f"the stamp {text.strip()!r} is no whole number of nanoseconds") from None
+    return in_range(stamp_ns)
+
+
 def require_unit(quaternion: Sequence[float]) -> None:
     """Refuse a quaternion that rounding can't have made of one of unit length.
 
@@ -124,7 +137,7 @@ def read_table(
     for line, text in numbered_lines(path):
         fields = text.split(",")
         try:
-            stamp, values = in_range(int(fields[0])), numbers(fields[1 : 1 + columns])
+            stamp, values = whole_ns(fields[0]), numbers(fields[1 : 1 + columns])
             if len(values) < columns:
                 raise ValueError(f"it has {len(values)}")
             if check is not None:

@@ -12,7 +12,7 @@ from uav_vslam.datasets.calibration_files import read_calibration
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.euroc import asl_pairs
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
-from uav_vslam.datasets.importing.pictures import covered_pairs, frames, pairs_with_readings, shifted
+from uav_vslam.datasets.importing.pictures import covered_pairs, frames, pairs_with_readings, shifted, uncovered_text
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
@@ -53,10 +53,13 @@ def read_tumvi(
         CalibrationError: no calibration is found, or it lacks a camera or the IMU.
     """
     problems = problems or Problems()
+    if not (folder / "mav0").is_dir():
+        raise BagError(f"{folder} has no folder mav0; give the folder that holds it")
     files = calibration or _calibration_files(folder)
     rig, offset_ns = rig_of_files(files)
     imu = read_imu_table(folder / "mav0" / "imu0" / "data.csv", problems)
-    pairs, without = pairs_with_readings(shifted(asl_pairs(folder / "mav0", problems), offset_ns), imu)
+    recorded = shifted(asl_pairs(folder / "mav0", problems), offset_ns)
+    pairs, without = pairs_with_readings(recorded, imu)
     notes = [f"calibration: {', '.join(map(str, files))}", *without]
     truth = _truth(folder / TRUTH_FILE, problems)
     if truth:
@@ -64,12 +67,12 @@ def read_tumvi(
         notes.extend(outside)
     else:
         notes.append(f"no {TRUTH_FILE}: start.method is in_flight, and nothing can be evaluated")
+    offset = f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset in the calibration"
     if not pairs:
-        raise BagError(
-            f"{folder}: no pictures pair up, or none is covered by readings and ground truth; check data.csv"
-        )
+        text = uncovered_text(recorded, imu, truth) + (f" ({offset})" if offset_ns else "")
+        raise BagError(f"{folder}: {text}; check the stamps in data.csv")
     if offset_ns:
-        notes.append(f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset in the calibration")
+        notes.append(offset)
     flight = FlightRecording(
         vehicle=vehicle,
         rig=rig,
@@ -101,5 +104,8 @@ def _calibration_files(folder: Path) -> tuple[Path, ...]:
 def _truth(path: Path, problems: Problems) -> Motion | None:
     if not path.is_file():
         return None
-    table = read_table(path, 7, problems, check=lambda row: require_unit(row[3:7]))
+    try:
+        table = read_table(path, 7, problems, check=lambda row: require_unit(row[3:7]))
+    except BagError as error:
+        raise BagError(f"{error}; without this file the flight is imported to start in flight") from None
     return motion_of_poses(table.stamps_ns, table.values[:, :3], table.values[:, 3:7], source=path)
