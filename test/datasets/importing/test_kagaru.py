@@ -145,6 +145,7 @@ def test_the_imported_flight_runs_as_the_direct_bag(flight: Flight, whole: Impor
         ({"angle_unit": "rad"}, "angle_unit"),
         ({"gyro": ["Gyr_Y", "Gyr_X", "Gyr_Z"]}, "columns of gyro"),
         ({"accel": [7, 6, 5]}, "columns of accel"),
+        ({"position_kind": "local", "position": ["Time", "Time", "Altitude"]}, "km from the origin of the world"),
     ],
 )
 def test_a_wrong_unit_axis_or_column_contradicts_the_attitude_and_is_told(
@@ -293,6 +294,33 @@ def test_rows_of_the_truth_without_a_valid_quaternion_are_left_out(tmp_path: Pat
     assert found is not None
     assert found.stamps_ns.tolist() == [0, 2_000_000_000]
     assert problems.lines == [f"{tmp_path / 'truth.txt'}:2: the quaternion's norm is 0, not 1"]
+
+
+def test_positions_that_are_none_are_left_out_and_named(flight: Flight, tmp_path: Path) -> None:
+    folder = write_kagaru(flight, tmp_path / "data")
+    path = folder / "xsens.csv"
+    lines = path.read_text().splitlines()
+    fixed = lines[5].split(",")
+    lines[5] = ",".join([*fixed[:10], "0.0", "0.0", "0.0", *fixed[13:]])
+    path.write_text("\n".join(lines))
+    layout, problems = kagaru_layout(flight, tmp_path / "layout.yaml"), Problems()
+    source = read_kagaru(folder, layout, problems=problems)
+    assert problems.lines == [f"{path}:6: latitude and longitude are 0, as receivers write them without a fix"]
+    assert len(list(source.flight.truth)) == len(list(source.flight.imu)) - 1
+    swapped = kagaru_layout(flight, tmp_path / "layout.yaml", position=["Longitude", "Latitude", "Altitude"])
+    with pytest.raises(BagError, match="no row holds"):
+        read_kagaru(folder, swapped, problems=problems)
+    assert f"{path}:3: there is no latitude 152.9, longitude -27.8; check the order of position" in problems.lines
+
+
+@pytest.mark.parametrize("pattern", ["{folder}/front/*.pgm", "./front/*.pgm", "front/**/img*.pgm"])
+def test_patterns_may_be_absolute_and_reach_into_folders(
+    pattern: str, flight: Flight, folder: Path, tmp_path: Path
+) -> None:
+    tree = yaml.safe_load(kagaru_layout(flight, tmp_path / "layout.yaml").read_text())
+    tree["cameras"]["left"]["images"] = pattern.format(folder=folder)
+    (tmp_path / "layout.yaml").write_text(yaml.safe_dump(tree))
+    assert read_kagaru(folder, tmp_path / "layout.yaml").frame_count == FRAMES
 
 
 def test_the_layout_that_we_ship_is_valid() -> None:

@@ -4,6 +4,7 @@
 The readings are compared with the attitude and the positions of the same log: a wrong unit or axis shows there.
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,8 @@ NAVIGATION_GAP_NS = 1_500_000_000  # navigation solutions may come at 1 Hz
 FORCE_OFF = 3.0  # [m/s^2] of the mean specific force from gravity, beyond which the log contradicts itself
 RATE_OFF = 0.5  # share of the rotations' root mean square that the gyroscope may miss
 RATE_PERIOD_NS = 1_000_000_000
+LATITUDE_DEG, LONGITUDE_DEG = 90.0, 360.0  # largest; longitudes may be counted from 0 or from -180
+FAR_M = 100_000.0  # no flight is so far from the origin of its world
 LEAST_TURN = np.deg2rad(1.0)  # in that period; below it is nothing to compare
 
 
@@ -71,8 +74,7 @@ def read_motion(
         return None, None
     file = log.text_file(folder / log.file)
     columns = [*log.position, *log.attitude, *log.velocity]
-    check = _check_quaternion if len(log.attitude) == 4 else None
-    table = read_columns(file, log.clock, columns, problems, check=check)
+    table = read_columns(file, log.clock, columns, problems, check=partial(_check_pose, log=log))
     position, rest = table.values[:, :3], table.values[:, 3:]
     attitude, velocity = rest[:, : len(log.attitude)], rest[:, len(log.attitude) :]
     R_enu_given = rotation_to_enu(log.world_axes)
@@ -94,8 +96,20 @@ def read_motion(
     return motion, origin
 
 
-def _check_quaternion(row: list[float]) -> None:
-    require_unit(row[3:7])  # after the position
+def _check_pose(row: list[float], *, log: LogSettings) -> None:
+    """Refuse a row of position and attitude that is none.
+
+    Raises:
+        ValueError: it is one.
+    """
+    if log.position_kind == "geodetic":
+        latitude, longitude = row[:2]
+        if abs(latitude) > LATITUDE_DEG or abs(longitude) > LONGITUDE_DEG:
+            raise ValueError(f"there is no latitude {latitude:g}, longitude {longitude:g}; check the order of position")
+        if latitude == longitude == 0.0:
+            raise ValueError("latitude and longitude are 0, as receivers write them without a fix")
+    if len(log.attitude) == 4:
+        require_unit(row[3:7])
 
 
 def _rotations(attitude: Array, log: LogSettings) -> Array:
@@ -108,8 +122,8 @@ def _rotations(attitude: Array, log: LogSettings) -> Array:
 def contradictions(imu: Table, motion: Motion) -> list[str]:
     """Return in words where readings and attitude contradict each other, which shows a wrong unit, axis or sign.
 
-    Over a whole flight the mean specific force in the world is gravity's reaction, and the rotation over a second is
-    the integral of the angular rate.
+    A flight is near the origin of its world. Over a whole one the mean specific force in the world is gravity's
+    reaction, and the rotation over a second is the integral of the angular rate.
     """
     inside = imu.stamps_ns[(imu.stamps_ns >= motion.stamps_ns[0]) & (imu.stamps_ns <= motion.stamps_ns[-1])]
     if len(inside) < 2:
@@ -117,6 +131,9 @@ def contradictions(imu: Table, motion: Motion) -> list[str]:
     readings = imu.at(inside)
     R_world_body = rotation_from_quaternion_wxyz(motion.table.at(inside)[:, 3:7])
     found = []
+    away_m = float(np.linalg.norm(motion.table.values[:, :3], axis=1).min())
+    if away_m > FAR_M:
+        found.append(f"the flight is {away_m / 1e3:.0f} km from the origin of the world; check datum and position")
     force = np.einsum("nij,nj->ni", R_world_body, readings[:, 3:]).mean(axis=0)
     if np.linalg.norm(force - [0.0, 0.0, GRAVITY]) > FORCE_OFF:
         east, north, up = force

@@ -3,6 +3,7 @@
 
 import re
 from collections.abc import Sequence
+from glob import glob
 from pathlib import Path
 
 from uav_vslam.datasets.importing.kagaru_settings import CamerasSettings, SideSettings
@@ -37,7 +38,7 @@ def _pictures(folder: Path, cameras: CamerasSettings, side: SideSettings, proble
     """Return the pictures of one camera with their stamps."""
     if not side.images:
         raise ConfigError("cameras.left.images and cameras.right.images must name the pictures, e.g. front/*.pgm")
-    files = sorted(folder.glob(side.images), key=_natural)
+    files = sorted((folder / name for name in glob(side.images, root_dir=folder, recursive=True)), key=_natural)
     if not files:
         raise BagError(f"{folder} holds no picture {side.images}")
     if not side.times:
