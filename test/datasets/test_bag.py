@@ -19,7 +19,7 @@ from uav_vslam.datasets.cdr import RawMessage, decode, encode
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.message_builders import camera_info_message, image_message, transforms_message
 from uav_vslam.datasets.messages import stamp_ns_of, transforms_of
-from uav_vslam.datasets.rosbag import iter_raw
+from uav_vslam.datasets.rosbag import UpToDamage, iter_raw
 from uav_vslam.datasets.truth import truth_warnings
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
@@ -205,6 +205,18 @@ def test_a_flight_without_start_state_or_ground_truth_opens(tiny_bag: Path, tmp_
     flight = open_flight(bag, "uav1")
     assert flight.initial_state is None
     assert flight.truth() is None
+
+
+def test_a_camera_info_that_was_not_filled_in_yet_gives_way_to_the_next(tiny_bag: Path, tmp_path: Path) -> None:
+    def empty(info: Any, number: int) -> None:
+        if number < 2:
+            info.k = np.zeros(9)
+
+    topic = "/uav1/right/camera_info"
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", edited(topic, empty)), "uav1")
+    assert flight.rig.right.fx == open_flight(tiny_bag, "uav1").rig.right.fx
+    (warning,) = flight.warnings
+    assert warning.startswith(f"{topic}: its first message can't be used, and a later one counts: focal length")
 
 
 TRUTH = "/uav1/ground_truth/odometry"
@@ -418,6 +430,18 @@ def test_messages_that_cannot_be_read_cost_only_themselves_and_are_counted(tiny_
     truth = flight.truth()
     assert truth is not None
     assert truth.left_out == 1
+
+
+@pytest.mark.parametrize("topic", ["/uav1/imu/data_raw", "/uav1/left/image_raw", TRUTH])
+def test_so_is_the_first_one_of_a_topic(topic: str, tiny_bag: Path, tmp_path: Path) -> None:
+    first = next(iter_raw([tiny_bag], [topic]))
+    short = dataclasses.replace(first, data=b"\0\1")
+    bag = rewrite(tiny_bag, tmp_path / "bag", lambda raw: short if raw == first else raw)
+    whole, flight = (open_flight(path, "uav1") for path in (tiny_bag, bag))
+    assert flight.pair_tolerance_ns(8) == whole.pair_tolerance_ns(8)
+    expected, events = list(whole.iter_events()), UpToDamage(flight.iter_events())
+    assert len(list(events)) == len(expected) - (topic != TRUTH)
+    assert (events.error is None) == (topic == TRUTH)
 
 
 def test_a_truncated_bag_opens_and_replays_up_to_the_damage(tiny_bag: Path, tmp_path: Path) -> None:

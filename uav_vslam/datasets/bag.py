@@ -20,7 +20,7 @@ from uav_vslam.datasets.messages import (
 from uav_vslam.datasets.rosbag import Topics, iter_readable, names_of, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.truth import unread_text
-from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
+from uav_vslam.errors import BagError, CalibrationError, InvalidMessage, UavVslamError
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.types import NavEstimate
 
@@ -64,7 +64,7 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
     if setup.needs_frames and not {TF_STATIC, TF} & topics.keys():
         raise _missing_topic(bags, topics, TF_STATIC)
     try:
-        _collect(bags, topics, setup)
+        unused = _collect(bags, topics, setup)
         if TF in topics and setup.missing_transforms():
             setup.frames.borrow(unmoved_edges(bags))
         rig, T_body_imu = setup.rig(), setup.T_body_imu()
@@ -82,7 +82,7 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
         right_topic=right_topic,
         T_body_imu=T_body_imu,
         time_offset_ns=setup.time_offset_ns,
-        warnings=tuple(_warnings(bags, topics, setup)),
+        warnings=(*unused, *_warnings(bags, topics, setup)),
     )
 
 
@@ -98,7 +98,9 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
     if topics.foreign:
         yield f"{named(topics.foreign)} instead of CDR, and are not read"
     topic = setup.config.topic(setup.vehicle, "truth")
-    truth = _first(bags, topic)
+    truth = None
+    with suppress(BagError):  # `BagFlight.truth` counts what can't be read
+        truth = _first(bags, topic)
     if truth is not None and truth.__msgtype__ not in TRUTH_TYPES:
         yield unread_text(topic, truth.__msgtype__)
     if conflict := setup.conflict(getattr(truth, "child_frame_id", "")):
@@ -139,22 +141,31 @@ def _initial_state(bags: Sequence[Path], setup: SensorSetup) -> NavEstimate | No
         raise BagError(f"bag {names_of(bags)}: {topic}: {error}; record a start state that is valid") from None
 
 
-def _collect(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> None:
-    """Read all static transforms, and camera infos until all that is needed is known, or the recording ends."""
+def _collect(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> list[str]:
+    """Read all static transforms, and camera infos until all that is needed is known, or the recording ends.
+
+    Returns:
+        In words the camera infos that can't be used, as a driver may send them until it is calibrated.
+    """
     for raw in iter_readable(bags, [TF_STATIC]) if TF_STATIC in topics else ():
         setup.frames.add(*transforms_of(decode(raw)))
     sides = {setup.config.topic(setup.vehicle, f"{side}_info"): side for side in SIDES}
+    refused: dict[str, UavVslamError] = {}
     for raw in iter_readable(bags, [topic for topic in sides if topic in topics]):
         if not setup.missing_infos:
-            return
+            break
         if sides[raw.topic] not in setup.cameras:
             try:
                 setup.add_camera(sides[raw.topic], decode(raw))
-            except CalibrationError as error:
-                raise CalibrationError(f"{raw.topic}: {error}") from None
+            except (BagError, CalibrationError) as error:
+                refused.setdefault(raw.topic, error)
     for side in setup.missing_infos:
         topic = setup.config.topic(setup.vehicle, f"{side}_info")
+        if topic in refused:
+            raise CalibrationError(f"{topic}: {refused[topic]}")
         raise BagError(f"bag {names_of(bags)} holds no message on {topic}; record it with the images")
+    text = "its first message can't be used, and a later one counts"
+    return [f"{topic}: {text}: {error}" for topic, error in refused.items()]
 
 
 def unmoved_edges(bags: Sequence[Path]) -> list[Edge]:
@@ -167,6 +178,17 @@ def unmoved_edges(bags: Sequence[Path]) -> list[Edge]:
 
 
 def _first(bags: Sequence[Path], topic: str) -> Any:
-    """Return a topic's first message, None if there is none."""
-    first = next(iter_readable(bags, [topic]), None)
-    return decode(first) if first else None
+    """Return a topic's first message that can be read, None if there is no message.
+
+    Raises:
+        BagError: there are messages, but none can be read.
+    """
+    refused: BagError | None = None
+    for raw in iter_readable(bags, [topic]):
+        try:
+            return decode(raw)
+        except BagError as error:
+            refused = refused or error
+    if refused is not None:
+        raise refused
+    return None

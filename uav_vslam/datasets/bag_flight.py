@@ -122,8 +122,8 @@ class BagFlight:
         return f"{nearest_are} {np.median(apart) / 1e6:.3g} ms apart (median); see input.pair_tolerance_s"
 
     def _stamps_ns(self, topic: str, first: int | None) -> NDArray[np.int64]:
-        images = itertools.islice(self._images(topic), first)
-        return np.array([header_stamp_ns(raw.data) for raw in images], np.int64)
+        images = itertools.islice(self._stamped_images(topic), first)
+        return np.array([stamp_ns for stamp_ns, _ in images], np.int64)
 
     def left_images(self, stamps_ns: Collection[int]) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield stamp and pixels of the left images of some frames, as recorded; undecodable ones are left out.
@@ -131,14 +131,23 @@ class BagFlight:
         Args:
             stamps_ns: of the frames, as `iter_events` has them.
         """
-        for raw in self._images(self.left_topic):
-            stamp_ns = header_stamp_ns(raw.data) + self.time_offset_ns
+        for recorded_ns, raw in self._stamped_images(self.left_topic):
+            stamp_ns = recorded_ns + self.time_offset_ns
             if stamp_ns in stamps_ns:
                 try:
                     pixels = image_of(decode(raw))
                 except BagError:
                     continue
                 yield stamp_ns, pixels
+
+    def _stamped_images(self, topic: str) -> Iterator[tuple[int, RawMessage]]:
+        """Yield images with the stamps of their headers [ns]; those too short for one are left out."""
+        for raw in self._images(topic):
+            try:
+                stamp_ns = header_stamp_ns(raw.data)
+            except BagError:
+                continue
+            yield stamp_ns, raw
 
     def _images(self, topic: str) -> Iterator[RawMessage]:
         return iter_readable(self.paths, [topic])
