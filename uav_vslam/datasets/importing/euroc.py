@@ -23,7 +23,7 @@ from uav_vslam.datasets.importing.pictures import (
     uncovered_text,
 )
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.source import Source
+from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
 from uav_vslam.datasets.importing.tables import read_imu_table, read_table, read_text, require_unit
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
@@ -32,24 +32,23 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import NS_PER_S
 
 TRUTH_FOLDER = "state_groundtruth_estimate0"
-MODEL = "radial-tangential"  # the distortion model of the sequences
 TRACKED_S = 0.2  # usual time between images below which points can be tracked
 
 
 def read_euroc(
     mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None = None, problems: Problems | None = None
 ) -> Source:
-    """Read a sequence; it starts at the first image pair with readings and ground truth.
+    """Read a sequence; it starts at the first image pair with readings and, if there is any, ground truth.
 
     Args:
-        mav0: the folder that holds cam0, cam1, imu0 and the ground truth.
+        mav0: the folder that holds cam0, cam1, imu0 and maybe the ground truth.
         vehicle: its ROS namespace.
         sigma: stated uncertainty of the start state.
         problems: collects what is left out.
 
     Raises:
         BagError: a file is missing or malformed, no images pair up, or none has readings and ground truth.
-        CalibrationError: the cameras' calibrations contradict each other.
+        CalibrationError: a lens is not supported, or the cameras' calibrations contradict each other.
     """
     problems = problems or Problems()
     if not (mav0 / "cam0").is_dir():
@@ -57,11 +56,14 @@ def read_euroc(
     left, T_body_left = _camera(mav0 / "cam0")
     right, T_body_right = _camera(mav0 / "cam1")
     imu = read_imu_table(mav0 / "imu0" / "data.csv", problems)
-    truth_file = mav0 / TRUTH_FOLDER / "data.csv"
-    truth = Motion(read_table(truth_file, 16, problems, check=lambda row: require_unit(row[3:7])), truth_file)
+    truth = _truth(mav0 / TRUTH_FOLDER / "data.csv", problems)
     recorded = asl_pairs(mav0, problems)
-    pairs, without = pairs_with_readings(recorded, imu)
-    pairs, outside = covered_pairs(pairs, truth)
+    pairs, notes = pairs_with_readings(recorded, imu)
+    if truth:
+        pairs, outside = covered_pairs(pairs, truth)
+        notes += outside
+    else:
+        notes += (f"no {TRUTH_FOLDER}: start.method is in_flight, and nothing can be evaluated",)
     if not pairs:
         raise BagError(f"{mav0}: {uncovered_text(recorded, imu, truth)}; check the stamps in data.csv")
     rig = StereoRig(left, right, T_body_left, T_body_right)
@@ -69,12 +71,18 @@ def read_euroc(
         vehicle=vehicle,
         rig=rig,
         imu=imu_samples(imu),
-        truth=truth.samples(imu),
+        truth=truth.samples(imu) if truth else (),
         frames=frames(pairs, rig, problems),
-        initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()),
+        initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()) if truth else None,
     )
     base = "euroc_video" if _usual_gap_s(pairs) < TRACKED_S else "euroc"
-    return Source(flight, len(pairs), base=base, notes=without + outside)
+    return Source(flight, len(pairs), base=base, settings={} if truth else IN_FLIGHT, notes=notes)
+
+
+def _truth(path: Path, problems: Problems) -> Motion | None:
+    if not path.is_file():
+        return None
+    return Motion(read_table(path, 16, problems, check=lambda row: require_unit(row[3:7])), path)
 
 
 def asl_pairs(mav0: Path, problems: Problems) -> list[PicturePair]:
@@ -92,10 +100,7 @@ def _usual_gap_s(pairs: list[PicturePair]) -> float:
 def _camera(folder: Path) -> tuple[PinholeCamera, Pose]:
     """Return the intrinsics and T_body_cam of a sensor.yaml."""
     path = folder / "sensor.yaml"
-    sensor = yaml_tree(read_text(path), path)
-    if sensor.get("distortion_model", MODEL) != MODEL:
-        raise CalibrationError(f"{folder}: distortion model {sensor['distortion_model']!r}; use {MODEL}")
-    calibration = parse_calibration(sensor, path)
+    calibration = parse_calibration(yaml_tree(read_text(path), path), path)
     T_body_cam = calibration.T_body_cam(0)
     if T_body_cam is None:
         raise CalibrationError(f"{path}: no camera with T_BS; is it an ASL folder (mav0)?")
