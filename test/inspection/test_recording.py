@@ -78,6 +78,15 @@ def test_readings_that_are_left_out_are_no_other_fault(fault: str, subject: str,
     assert [fault.subject for fault in faults(found.findings)] == [subject]
 
 
+@pytest.mark.parametrize(
+    ("fault", "subject"), [("a gyroscope alone", "accelerometer"), ("an accelerometer alone", "gyroscope")]
+)
+def test_a_sensor_that_is_missing_is_no_other_fault(fault: str, subject: str, clean: Path, tmp_path: Path) -> None:
+    """That gravity was removed, or that clocks and extrinsics are wrong, sent to the wrong place."""
+    found = inspected(rewritten(clean, tmp_path / "bag", *FAULTS[fault][0]()))
+    assert [fault.subject for fault in faults(found.findings)] == [subject]
+
+
 @pytest.mark.parametrize("unit", ["millimetres", "kilometres"])
 def test_truth_in_another_unit_is_the_cause_and_judges_nothing(unit: str, clean: Path, tmp_path: Path) -> None:
     """Its accelerations in mm/s^2 said that the IMU's axes were not those of the body, which was an error."""

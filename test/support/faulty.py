@@ -235,6 +235,14 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
             ("error", "gyroscope against the cameras", ("in degrees",)),
         ],
     ),
+    "a gyroscope alone": (  # as drivers that do not unite both sensors publish it
+        lambda: [scaled("linear_acceleration", 0.0)],
+        [("error", "accelerometer", ("all readings are zero", "unite them in the driver"))],
+    ),
+    "an accelerometer alone": (
+        lambda: [scaled("angular_velocity", 0.0)],
+        [("error", "gyroscope", ("all readings are zero",))],
+    ),
     "a few IMU readings of NaN": (
         lambda: [some_scaled("linear_acceleration", np.nan, range(200, 205))],
         [("warning", "IMU readings", ("5 of 685", "0 of the gyroscope, 5 of the accelerometer"))],

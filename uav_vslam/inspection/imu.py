@@ -105,6 +105,8 @@ def _check_rates(
 ) -> list[Finding]:
     """Check the gyroscope against truth and cameras."""
     found: list[Finding] = []
+    if not gyro.any():  # `check_stuck` names it
+        return found
     if survey.truth is not None and len(survey.truth) > 2:
         found += check_rotation(rotations_by_truth(survey.truth, stamps, gyro))
     if rig is not None and looked.steps:

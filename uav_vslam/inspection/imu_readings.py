@@ -47,7 +47,7 @@ def check_units(accel: Array, *, gravity: float, rate_hz: float) -> list[Finding
     """Check the size of (N, 3) specific forces, vibration averaged out; in steady flight it is near gravity [m/s^2]."""
     count = max(1, round(len(accel) / max(1.0, AVERAGED_S * rate_hz)))
     means = [part.mean(axis=0) for part in np.array_split(accel, count) if len(part)]
-    if not means:
+    if not means or not accel.any():  # `check_stuck` names it
         return []
     size = float(np.median(np.linalg.norm(means, axis=1)))
     share = size / gravity
