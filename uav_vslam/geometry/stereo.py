@@ -46,7 +46,9 @@ class StereoRig:
                 f"{self.right.width}x{self.right.height}; record both cameras at the same size"
             )
         if self.baseline_m < MIN_BASELINE_M:
-            raise CalibrationError(f"baseline is {self.baseline_m:.2e} m; check both cameras' extrinsics in /tf_static")
+            raise CalibrationError(
+                f"baseline is {self.baseline_m:.2e} m; check where /tf_static or the calibration places both cameras"
+            )
 
     @property
     def baseline_m(self) -> float:

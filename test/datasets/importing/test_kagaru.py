@@ -45,6 +45,7 @@ FRAMES = 20
 NINE_DIGITS = 1e-8  # of a log with nine decimals, in radians, m/s^2 and m/s
 POSITION_M = 2e-4  # nine decimals of a degree are 0.1 mm
 ROTATION = 1e-9
+EYE = np.eye(4).ravel().tolist()
 OURS = Path(__file__).parents[3] / "config" / "import" / "kagaru.yaml"
 
 
@@ -235,6 +236,12 @@ def test_stamps_may_be_in_the_names_of_the_pictures(flight: Flight, tmp_path: Pa
         ({"cameras": {"pair_tolerance_s": 0.0}}, BagError, "none of 20 left and 20 right pictures pair up"),
         ({"calibration": {"size": [640, 480]}}, CalibrationError, "calibrate at the recorded size"),
         ({"calibration": {"T_imu_left": [1.0] * 16}}, CalibrationError, "no rotation"),
+        (
+            {"calibration": {"T_left_right": EYE}},
+            CalibrationError,
+            r"layout.yaml: calibration: baseline is 0.*places both",
+        ),
+        ({"calibration": {"left": {"intrinsics": [0.0] * 4}}}, CalibrationError, "calibration.left: focal length"),
         ({"run": {"imu": {"giro_noise": 1.0}}}, ConfigError, r"unknown key imu\.giro_noise"),
     ],
 )

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stereo rig of calibration files, or of the values of a layout, in the axes of the IMU."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,9 @@ def rig_of_files(files: Sequence[Path]) -> tuple[StereoRig, int]:
         names = ", ".join(map(str, files))
         raise CalibrationError(f"{names}: two cameras with T_cam_imu are needed; use a camchain-imucam file of Kalibr")
     left, right = (one.camera for one in calibration.cameras)
-    return StereoRig(left, right, T_imu_left, T_imu_right), round(calibration.time_offset_s * NS_PER_S)
+    with _naming(", ".join(map(str, files))):
+        rig = StereoRig(left, right, T_imu_left, T_imu_right)
+    return rig, round(calibration.time_offset_s * NS_PER_S)
 
 
 def rig_of_values(given: CalibrationSettings, layout_file: Path) -> StereoRig:
@@ -44,17 +47,28 @@ def rig_of_values(given: CalibrationSettings, layout_file: Path) -> StereoRig:
     for name, lens in (("left", given.left), ("right", given.right)):
         if len(lens.intrinsics) != 4:
             raise ConfigError(f"{layout_file}: calibration.{name}.intrinsics needs fx, fy, cx, cy")
-        sides.append(camera(given.size, lens.intrinsics, lens.model, lens.distortion))
+        with _naming(f"{layout_file}: calibration.{name}"):
+            sides.append(camera(given.size, lens.intrinsics, lens.model, lens.distortion))
     T_imu_left = _pose(given.T_imu_left, f"{layout_file}: calibration.T_imu_left")
     T_left_right = _pose(given.T_left_right, f"{layout_file}: calibration.T_left_right")
     left, right = sides
-    return StereoRig(left, right, T_imu_left, T_imu_left @ T_left_right)
+    with _naming(f"{layout_file}: calibration"):
+        return StereoRig(left, right, T_imu_left, T_imu_left @ T_left_right)
 
 
 def turned(rig: StereoRig, R_body_imu: NDArray[np.float64]) -> StereoRig:
     """Return the rig in axes that are turned against those of the IMU."""
     T_body_imu = Pose(R_body_imu, np.zeros(3))
     return StereoRig(rig.left, rig.right, T_body_imu @ rig.T_body_left, T_body_imu @ rig.T_body_right)
+
+
+@contextmanager
+def _naming(source: str) -> Iterator[None]:
+    """Let errors begin with what the calibration was read from."""
+    try:
+        yield
+    except CalibrationError as error:
+        raise CalibrationError(f"{source}: {error}") from None
 
 
 def _pose(numbers: Sequence[float], name: str) -> Pose:
