@@ -134,6 +134,15 @@ def test_readings_lost_at_random_are_no_bursts(loss: float) -> None:
     for stamp_ns in stamps_ns[np.random.default_rng(7).random(len(stamps_ns)) >= loss].tolist():
         spacing.add(stamp_ns)
         assert spacing.bursts_hz is None
+        assert spacing.slow_hz is None
+
+
+@pytest.mark.parametrize(("rate_hz", "slow_hz"), [(10.0, pytest.approx(10.0)), (50.0, None), (200.0, None)])
+def test_readings_that_come_too_seldom_are_told_by_their_rate(rate_hz: float, slow_hz: float | None) -> None:
+    spacing = UsualSpacing()
+    for k in range(150):
+        spacing.add(round(k * NS_PER_S / rate_hz))
+    assert spacing.slow_hz == slow_hz
 
 
 @pytest.mark.parametrize("within_ns", [0, 50_000, 500_000])

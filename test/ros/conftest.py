@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import signal
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -18,3 +19,11 @@ def listener(domain_id: int) -> "Iterator[Node]":
     yield node
     node.destroy_node()
     rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def hangup() -> Iterator[None]:
+    """SIGHUP ends what a test starts, also where the tests themselves run under `nohup`."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)

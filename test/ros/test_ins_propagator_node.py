@@ -152,6 +152,17 @@ def test_readings_stamped_when_a_batch_of_them_arrives_are_an_alarm(make: Make) 
     assert "imu_stamps" not in node.alarms
 
 
+def test_readings_that_come_too_seldom_are_an_alarm(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    for k in range(120):
+        stamp_ns = NOW_NS + k * 100_000_000
+        reading = Imu(header=header(stamp_ns, node.base_frame), linear_acceleration=Vector3(z=node.config.imu.gravity))
+        deliver(node, "imu/data_raw", reading)
+        deliver(node, "left/camera_info", CameraInfo(header=header(stamp_ns - 1_000_000, "left_optical")))
+    assert "IMU readings come at 10 Hz" in node.alarms["imu_stamps"]
+
+
 def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_ever(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,6 +47,7 @@ def run(domain_id: int) -> Run:
     return do
 
 
+@pytest.mark.usefixtures("hangup")
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_while_a_node_is_still_being_made_ends_it_without_a_traceback(run: Run, number: str) -> None:
     done = run(f"os.kill(os.getpid(), signal.{number})")

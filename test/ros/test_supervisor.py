@@ -157,6 +157,7 @@ def test_pauses_between_restarts_grow(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert min(pauses[2:]) > 0.6
 
 
+@pytest.mark.usefixtures("hangup")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_shuts_down_all(tmp_path: Path, number: signal.Signals) -> None:
     with supervised(tmp_path, {"a": POLITE, "b": POLITE}, FIRST_ONLY) as (process, pids):

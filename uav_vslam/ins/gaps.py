@@ -21,6 +21,7 @@ MISSING = 1.5  # usual spacings, from which on a reading is missing
 REVERSAL_S = 0.1  # in which a motion may reverse
 BLIND_S = 0.3  # after longer without a reading the motion is unknown
 FASTEST_HZ = 20_000.0  # of any IMU; a higher mean rate shows stamps in another unit
+SLOWEST_HZ = 50.0  # small aircraft turn to and fro at up to 10 Hz; the midpoint rule needs five readings a period
 LEAP_S = 1.0  # after longer without a reading or an image it is unknown, too, how much time has passed
 UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] of an unknown rotation rate
 UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] of an unknown acceleration
@@ -42,6 +43,7 @@ class UsualSpacing:
     Attributes:
         period_s: as of the last reading added [s]; 0 before the second.
         bursts_hz: see `bursts_hz`, of the newest spacings; None if the readings don't come in bursts.
+        slow_hz: usual rate, if readings come more seldom than at `SLOWEST_HZ`; else None.
     """
 
     def __init__(self) -> None:
@@ -50,6 +52,7 @@ class UsualSpacing:
         self._until_next = 0
         self.period_s = 0.0
         self.bursts_hz: tuple[float, float] | None = None
+        self.slow_hz: float | None = None
 
     def add(self, stamp_ns: int) -> None:
         """Add a reading's stamp, later than those before."""
@@ -63,6 +66,8 @@ class UsualSpacing:
             spacings_ns = np.sort(self._spacings_ns)
             self.period_s = _usual_ns(spacings_ns) / NS_PER_S
             self.bursts_hz = bursts_hz(spacings_ns)
+            is_slow = len(spacings_ns) >= ENOUGH and self.period_s * SLOWEST_HZ > 1.0 + ALIKE
+            self.slow_hz = 1.0 / self.period_s if is_slow else None
 
 
 def bursts_hz(spacings_ns: NDArray[np.int64]) -> tuple[float, float] | None:

@@ -9,7 +9,6 @@ LOST_SHARE = 0.01  # of a stream's messages: fewer are lost by any driver now an
 UNUSABLE_SHARE = 0.5  # if more of a stream is useless, so is the stream
 STUCK_SHARE = 0.9  # the same of stamps that repeat the one before: half do if each message was recorded twice
 MAX_IMAGE_RATE_HZ = 2000.0  # of any stereo camera on a vehicle; a higher mean rate shows stamps in another unit
-MIN_IMU_RATE_HZ = 50.0  # small aircraft turn to and fro at up to 10 Hz; the midpoint rule needs five readings a period
 OWN_CLOCK_S = 1.0  # drivers and recorders delay messages by less, so a larger difference is another clock
 UNPAIRED_SHARE = 0.02  # of the images of the camera that has more: a few at both ends have no partner
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.bag_flight import REORDER_NS
 from uav_vslam.datasets.survey import Stream
 from uav_vslam.geometry.stereo import SIDES
-from uav_vslam.ins.gaps import BLIND_S, FASTEST_HZ, bursts_hz
+from uav_vslam.ins.gaps import BLIND_S, FASTEST_HZ, SLOWEST_HZ, bursts_hz
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
@@ -55,8 +55,8 @@ def check_imu_rate(stamps_ns: Stamps) -> list[Finding]:
         found.append(
             error("IMU rate", f"{rate_hz:.1f} Hz", f"at least {1 / MAX_GAP_S:.0f} Hz: else all is gap", remedy)
         )
-    elif rate_hz < limits.MIN_IMU_RATE_HZ:
-        allowed = f"{limits.MIN_IMU_RATE_HZ:.0f} Hz or more: faster motion is lost between readings"
+    elif rate_hz < SLOWEST_HZ:
+        allowed = f"{SLOWEST_HZ:.0f} Hz or more: faster motion is lost between readings"
         found.append(warning("IMU rate", f"{rate_hz:.1f} Hz", allowed, "record the IMU at its full rate"))
     gaps = _gaps(stamps_ns, MAX_GAP_S)
     lost = _lost(stamps_ns)

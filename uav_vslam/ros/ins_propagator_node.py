@@ -270,7 +270,7 @@ class InsPropagatorNode(VehicleNode):
         for increment in increments:
             self._publish_increment(increment)
         if increments:
-            self._status.report_bursts(preintegrator.statistics.fault)
+            self._status.report_stamps(preintegrator.statistics.fault)
             self._status.report_gaps(increments[-1].stamp_ns, preintegrator.gaps - before)
 
     def _propagate(self, live: LiveOdometry, item: ImuSample | int) -> None:

@@ -83,6 +83,6 @@ class InsStatus:
         text = f"{recent} increments of the last {RECENT_S:g} s lack IMU readings"
         self._node.report_alarm("imu", text if recent and "imu_stamps" not in self._node.alarms else "")
 
-    def report_bursts(self, text: str) -> None:
-        """Warn of readings stamped in bursts while they are."""
+    def report_stamps(self, text: str) -> None:
+        """Warn of readings that come in bursts, or too seldom, while they do."""
         self._node.report_alarm("imu_stamps", text, logged=True)
