@@ -117,6 +117,16 @@ def test_kalibrs_file_tells_all_of_the_rig_and_the_clock(tmp_path: Path) -> None
     assert_rig(setup.rig())
 
 
+@pytest.mark.parametrize(("right_s", "told"), [(None, ""), (-0.0042, ""), (0.046, "exposed +50.0 ms from the left")])
+def test_cameras_of_different_clocks_are_told(right_s: float | None, told: str, tmp_path: Path) -> None:
+    file = kalibr(tmp_path)
+    tree = yaml.safe_load(file.read_text())
+    tree["cam1"] |= {} if right_s is None else {"timeshift_cam_imu": right_s}
+    found = read_calibration([written(file, tree)])
+    assert found.time_offset_s == -0.004
+    assert (told in found.unequal_clocks) if told else not found.unequal_clocks
+
+
 def test_eurocs_folder_tells_all_of_the_rig(tmp_path: Path) -> None:
     assert_rig(setup_of(euroc(tmp_path)).rig())
 

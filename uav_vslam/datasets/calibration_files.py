@@ -20,10 +20,12 @@ import yaml
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.kalibr_camchain import KALIBR_LENSES
+from uav_vslam.datasets.stereo_sync import NOTABLE_OFFSET_NS
 from uav_vslam.errors import CalibrationError, one_line
 from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import MIN_BASELINE_M
+from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
 Tree = Mapping[str, Any]
@@ -81,6 +83,17 @@ class Calibration:
     def time_offset_s(self) -> float:
         """IMU time minus image stamp [s]."""
         return self.cameras[0].time_offset_s if self.cameras else 0.0
+
+    @property
+    def unequal_clocks(self) -> str:
+        """Why images with equal stamps were not exposed together, by the files; empty if they were."""
+        apart_s = self.cameras[1].time_offset_s - self.time_offset_s if len(self.cameras) > 1 else 0.0
+        if abs(apart_s) * NS_PER_S <= NOTABLE_OFFSET_NS:
+            return ""
+        return (
+            f"by timeshift_cam_imu the right camera is exposed {1e3 * apart_s:+.1f} ms from the left one in images of "
+            "equal stamps, and only the left one's counts: trigger the cameras together, or mend the stamps"
+        )
 
     def T_body_cam(self, index: int) -> Pose | None:
         """Return the pose of a camera in the body, 0 for the left one; None if the files have none."""
@@ -224,7 +237,7 @@ def _of_kalibr(tree: Tree) -> Calibration:
                 camera(one["resolution"], one["intrinsics"], one["distortion_model"], one["distortion_coeffs"]),
                 rigid_pose(one["T_cam_imu"], f"{name}: T_cam_imu").inverse() if "T_cam_imu" in one else None,
                 T_left_cam,
-                _offset_s(one.get("timeshift_cam_imu", 0.0)),
+                _offset_s(one.get("timeshift_cam_imu", cameras[0].time_offset_s if cameras else 0.0)),
             )
         )
     return Calibration(tuple(cameras))

@@ -160,6 +160,8 @@ def _judge_stamps(survey: Survey, config: VehicleConfig, found: Inspection) -> N
 
 def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
     """Judge calibration and images; return the rig if there is one."""
+    if text := survey.setup.files.unequal_clocks:
+        found.findings.append(warning("clocks of the cameras", text, "one clock", "see the text"))
     for text in survey.setup.frames.faults:
         found.findings.append(warning("frames", text, "unit quaternions, finite places", "it is left out"))
     for text in dict.fromkeys(survey.problems):
