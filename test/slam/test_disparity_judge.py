@@ -85,11 +85,11 @@ def test_until_the_tilt_is_known_evidence_does_not_count_but_what_was_estimated_
         known[ROTATION, ROTATION] = (0.5 * LEVEL_RAD) ** 2 * np.eye(3)
         nav = dataclasses.replace(nav, covariance=known)
     judge.after_update(f, nav, by_tracks=False)
-    found, prior = f.belief.covariance(NO_ROWS), f.disparity_prior
+    found = f.belief.covariance(NO_ROWS)
     assert found[DISPARITY, DISPARITY] == pytest.approx(RIG.disparity_sigma_px**2)
     assert found[0, DISPARITY] / found[DISPARITY, DISPARITY] == pytest.approx(0.0 if level else 5.0, abs=1e-6)
-    doubt = prior.mean_square(0.0, prior.variance, prior=prior.variance)
-    assert f.nav_estimate().covariance[0, 0] == pytest.approx(P[0, 0] + 5.0**2 * doubt, rel=1e-6)
+    doubted = P[0, 0] + 5.0**2 * f.disparity_prior.claimed_variance
+    assert f.nav_estimate().covariance[0, 0] == pytest.approx(doubted, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -53,6 +53,11 @@ class DisparityPrior:
         weights, variances = self._two
         return self.right_px**2 if self.probability < DOUBTED else float(weights @ variances)
 
+    @property
+    def claimed_variance(self) -> float:
+        """Of what is claimed as long as nothing was measured [px^2]."""
+        return self.mean_square(0.0, self.variance, prior=self.variance)
+
     def given(self, mean: float, variance: float, *, prior: float) -> tuple[float, float]:
         """Return the probability of a wrong calibration given the measurements, and the prior to use instead.
 

@@ -195,11 +195,11 @@ class JointState:
             self._restore_disparity(self._errors.disparity_prior.variance)
 
     def forget_disparity(self) -> None:
-        """Let nothing depend on the disparity's error any more; the state stays as uncertain as the prior made it."""
+        """Let nothing depend on the disparity's error any more; the state stays as uncertain as is claimed."""
         if not self._errors.has_disparity:
             return
         prior = self._errors.disparity_prior
-        self._restore_disparity(prior.mean_square(0.0, prior.variance, prior=prior.variance))
+        self._restore_disparity(prior.claimed_variance)
         with stamped(self.nav.stamp_ns):
             self.belief = self.belief.reset_rows(np.array([self._errors.disparity.start]), prior.variance)
         self._set_disparity_prior(prior.variance)
