@@ -58,12 +58,8 @@ def read_euroc(
     imu = read_imu_table(mav0 / "imu0" / "data.csv", problems)
     truth = _truth(mav0 / TRUTH_FOLDER / "data.csv", problems)
     recorded = asl_pairs(mav0, problems)
-    pairs, notes = pairs_with_readings(recorded, imu)
-    if truth:
-        pairs, outside = covered_pairs(pairs, truth)
-        notes += outside
-    else:
-        notes += (f"no {TRUTH_FOLDER}: start.method is in_flight, and nothing can be evaluated",)
+    pairs, without = pairs_with_readings(recorded, imu)
+    pairs, outside = covered_pairs(pairs, truth, lacking=f"no {TRUTH_FOLDER}")
     if not pairs:
         raise BagError(f"{mav0}: {uncovered_text(recorded, imu, truth)}; check the stamps in data.csv")
     rig = StereoRig(left, right, T_body_left, T_body_right)
@@ -76,7 +72,7 @@ def read_euroc(
         initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()) if truth else None,
     )
     base = "euroc_video" if _usual_gap_s(pairs) < TRACKED_S else "euroc"
-    return Source(flight, len(pairs), base=base, settings={} if truth else IN_FLIGHT, notes=notes)
+    return Source(flight, len(pairs), base=base, settings={} if truth else IN_FLIGHT, notes=without + outside)
 
 
 def _truth(path: Path, problems: Problems) -> Motion | None:

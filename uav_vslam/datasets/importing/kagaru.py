@@ -57,11 +57,8 @@ def read_kagaru(
     if origin:
         datum = f"{origin.latitude_deg:.9f} {origin.longitude_deg:.9f} {origin.altitude_m:.3f}"
         notes.append(f"datum: {datum} is the origin of the world")
-    if truth:
-        flown, outside = covered_pairs(flown, truth)
-        notes.extend(outside)
-    else:
-        notes.append("the log has no pose: start.method is in_flight, and nothing can be evaluated")
+    flown, outside = covered_pairs(flown, truth, lacking="the log has no pose")
+    notes.extend(outside)
     if not flown:
         raise BagError(f"{folder}: {uncovered_text(pairs, imu, truth)}; check time_units and time_offset_s")
     flight = FlightRecording(

@@ -122,8 +122,15 @@ def pairs_with_readings(pairs: list[PicturePair], imu: Table) -> tuple[list[Pict
     return kept, (f"{outside} image pairs before or after the IMU's readings are left out",) if outside else ()
 
 
-def covered_pairs(pairs: list[PicturePair], truth: Motion) -> tuple[list[PicturePair], tuple[str, ...]]:
-    """Return the pairs from the first to the last stamp of the ground truth, and a note if there are others."""
+def covered_pairs(
+    pairs: list[PicturePair], truth: Motion | None, *, lacking: str
+) -> tuple[list[PicturePair], tuple[str, ...]]:
+    """Return the pairs from the first to the last stamp of the ground truth, and a note if there are others.
+
+    Without any, return all, and a note that begins with what is lacking.
+    """
+    if truth is None:
+        return pairs, (f"{lacking}: start.method is in_flight, and nothing can be evaluated",)
     covered = [pair for pair in pairs if truth.covers(pair.stamp_ns)]
     outside = len(pairs) - len(covered)
     return covered, (f"{outside} image pairs before or after the ground truth are left out",) if outside else ()

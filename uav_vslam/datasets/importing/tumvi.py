@@ -62,11 +62,8 @@ def read_tumvi(
     pairs, without = pairs_with_readings(recorded, imu)
     notes = [f"calibration: {', '.join(map(str, files))}", *without]
     truth = _truth(folder / TRUTH_FILE, problems)
-    if truth:
-        pairs, outside = covered_pairs(pairs, truth)
-        notes.extend(outside)
-    else:
-        notes.append(f"no {TRUTH_FILE}: start.method is in_flight, and nothing can be evaluated")
+    pairs, outside = covered_pairs(pairs, truth, lacking=f"no {TRUTH_FILE}")
+    notes.extend(outside)
     offset = f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset in the calibration"
     if not pairs:
         text = uncovered_text(recorded, imu, truth) + (f" ({offset})" if offset_ns else "")
