@@ -36,7 +36,7 @@ def turned(rig: StereoRig, degrees: float) -> StereoRig:
 def alarms_after(calibrated: StereoRig, pixels: np.ndarray, frames: int) -> dict[str, str]:
     health = FrontendHealth(calibrated, EPIPOLAR_PX)
     for _ in range(frames):
-        health.check_points(pixels)
+        health.check_points(pixels, calibrated.triangulate(pixels)[:, 2])
     return health.alarms
 
 
@@ -65,10 +65,10 @@ def test_a_baseline_in_another_unit_is_reported(rig: StereoRig, scale: float, sa
     scaled = dataclasses.replace(
         rig, T_body_left=Pose(left.R, scale * left.t), T_body_right=Pose(right.R, scale * right.t)
     )
-    health = FrontendHealth(scaled, EPIPOLAR_PX, (0.3, 500.0))
+    health, pixels = FrontendHealth(scaled, EPIPOLAR_PX, (0.3, 500.0)), points_of(rig, noise_px=0.1)
     for _ in range(EPIPOLAR_FRAMES):
         assert "depth" not in health.alarms
-        health.check_points(points_of(rig, noise_px=0.1))
+        health.check_points(pixels, scaled.triangulate(pixels)[:, 2])
     assert said in health.alarms.get("depth", "")
     assert set(health.alarms) == ({"depth"} if said else set())
 

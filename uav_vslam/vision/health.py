@@ -72,9 +72,13 @@ class FrontendHealth:
             "pairs", f"{missing} of the last {missing + len(self._missing)} image pairs are missing" if missing else ""
         )
 
-    def check_points(self, pixels: Array) -> None:
-        """Check (N, 4) undistorted stereo points matched by descriptor or flow, before any gate."""
-        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    def check_points(self, pixels: Array, depth_m: Array) -> None:
+        """Check (N, 4) undistorted stereo points matched by descriptor or flow, before any gate, and their (N,) depths.
+
+        A depth is NaN where the rays don't meet.
+        """
+        finite = np.isfinite(pixels).all(axis=1)
+        pixels, depth_m = pixels[finite], depth_m[finite]
         if len(pixels) < MIN_POINTS:
             return
         if seems_swapped(pixels, self._rig, self.epipolar_px):
@@ -88,11 +92,10 @@ class FrontendHealth:
             "cameras are not optical (z ahead, x right)"
         )
         self._set("rig", text if wrong else "")
-        self._check_depths(self._rig.triangulate(pixels, refinements=0)[:, 2])
+        self._check_depths(depth_m[np.isfinite(depth_m)])
 
-    def _check_depths(self, depths: Array) -> None:
-        """Report (N,) depths [m] of which most are out of range, so that hardly a point is used; NaN is none."""
-        ahead = depths[np.isfinite(depths)]
+    def _check_depths(self, ahead: Array) -> None:
+        """Report (N,) depths [m] of which most are out of range, so that hardly a point is used."""
         if len(ahead) < MIN_POINTS:
             return
         self._depths.append(float(np.median(ahead)))

@@ -54,7 +54,8 @@ class StereoFrontend(Frontend):
         if not self._health.check_images(frame.stamp_ns, to_grey8(frame.left), to_grey8(frame.right)):
             return StereoFeatures.empty(frame.stamp_ns)
         detected = self.detect(frame)
-        self._health.check_points(self._matched_by_descriptor(detected))
+        pixels = self._matched_by_descriptor(detected)
+        self._health.check_points(pixels, self._rig.triangulate(pixels, refinements=0)[:, 2])
         return self.match(detected)
 
     def detect(self, frame: StereoFrame) -> DetectedPair:

@@ -149,7 +149,7 @@ class TrackingFrontend(Frontend):
             shifted = self._matched(left, right, self._tracks.pixels + shift_between(left, right))
             # Without a match, what was seen at an impossible depth tells why.
             found = max(found, shifted, key=lambda one: (len(one), 0 if len(one) else len(one.pixels)))
-        self._health.check_points(found.pixels)
+        self._health.check_points(found.pixels, found.tracks.depth_m)
         pixels, self._tracks = found.pixels[found.good], found.tracks.chosen(found.good)
         return StereoFeatures(stamp_ns, pixels.astype(np.float32), self._tracks.descriptors, self._tracks.ids)
 
