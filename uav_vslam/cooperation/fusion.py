@@ -21,6 +21,7 @@ from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fused_pose import FusedEpoch, propagated
 from uav_vslam.cooperation.inbox import DESCRIPTOR_SIZE, FEWER_COMMON, MIN_DELAY_S, Inbox
 from uav_vslam.cooperation.loaded_map import LoadedMap
+from uav_vslam.cooperation.own_landmarks import well_ranged
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
 from uav_vslam.estimation.belief import state_rows
 from uav_vslam.geometry.pose import POSE_DIM
@@ -58,7 +59,7 @@ class Fusion:
         vehicle: its name.
         inbox: packets of peers.
         returned: feedback of peers: their fused estimates of own landmarks.
-        belief: own belief of the last epoch, with remembered landmarks.
+        belief: own belief of the last epoch, with remembered landmarks and without loose ones.
         epoch: result of the last fusion.
     """
 
@@ -141,7 +142,7 @@ class Fusion:
             self._shared, self._offered, self._times_sent = set(), set(), Counter()
         for inbox in (self.inbox, self.returned):
             inbox.advance(joint.stamp_ns, joint.session)
-        self.belief = self._memory.extended(joint, self._shared, self._offered)
+        self.belief = well_ranged(self._memory.extended(joint, self._shared, self._offered))
         config = self._config
         fusing = EpochFusion(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
         self._shared_rows.clear()

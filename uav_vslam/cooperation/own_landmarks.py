@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The landmarks of the own map, as a peer's are associated with them."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.numerics import marginalise_information
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]
+
+LOOSE = 0.1  # sigma of a landmark's distance over that distance, beyond which its error is not Gaussian
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,3 +38,27 @@ class OwnLandmarks:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+
+def well_ranged(joint: JointInformation) -> JointInformation:
+    """Return a belief without the landmarks whose distance from the vehicle is hardly known, as after a single view.
+
+    The error of 1 / disparity is skewed: it shifts the mean distance by the square of its relative sigma and has a long
+    tail. The vehicle's own pose hardly depends on such a landmark, but one that a peer has too would correct its tilt.
+    """
+    arm, P = joint.positions - joint.T_map_body.t, joint.covariance
+    own = landmark_rows(POSE_DIM, np.arange(len(arm))).reshape(-1, 3)
+    cross = P[own[:, :, None], np.arange(3)]
+    relative = P[own[:, :, None], own[:, None, :]] + P[:3, :3] - cross - np.swapaxes(cross, 1, 2)
+    along = np.einsum("ni,nij,nj->n", arm, relative, arm)  # variance of the distance, times its square
+    loose = along > LOOSE**2 * np.sum(arm**2, axis=1) ** 2
+    if not loose.any():
+        return joint
+    keep, gone = np.concatenate([np.arange(POSE_DIM), own[~loose].ravel()]), own[loose].ravel()
+    return dataclasses.replace(
+        joint,
+        ids=joint.ids[~loose],
+        positions=joint.positions[~loose],
+        information=marginalise_information(joint.information, keep, gone, "information of loose landmarks"),
+        descriptors=joint.descriptors[~loose],
+    )
