@@ -280,6 +280,20 @@ def test_adding_no_landmark_changes_nothing(course, name: str, model: str) -> No
     assert_unchanged(f, before)
 
 
+def test_new_points_are_linearised_at_the_depth_of_known_ground(course, name: str, model: str) -> None:
+    """Points that no landmark explains are often wrong matches, whose own depths scatter as in a room."""
+    f = course.filter(model, name, depth_sigma_ratio=BackendConfig().depth_sigma_ratio)
+    f.add_landmarks(course.pixels(0, ALL))
+    right = np.sqrt(np.diagonal(f.covariance())[f.vehicle :].reshape(-1, 3)[:, 2])
+    pixels = course.pixels(0, ALL)
+    pixels[:, 3] += np.linspace(-8.0, 8.0, len(ALL))  # of 18 px of disparity
+    f.add_landmarks(pixels)
+    wrong = np.sqrt(np.diagonal(f.covariance())[f.vehicle :].reshape(-1, 3)[len(ALL) :, 2])
+    depth = f.points_left()[len(ALL) :, 2]
+    assert depth.max() > 2.4 * depth.min()
+    np.testing.assert_allclose(wrong, right.mean(), rtol=0.3)
+
+
 def test_no_landmarks_give_empty_predictions_and_additions(course, name: str, model: str) -> None:
     f = course.filter(model, name)
     f.add_landmarks(np.zeros((0, 4)))

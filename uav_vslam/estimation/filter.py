@@ -37,7 +37,7 @@ from uav_vslam.estimation.linearisation import (
 )
 from uav_vslam.estimation.mean import Mean
 from uav_vslam.estimation.models import POSE
-from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
+from uav_vslam.estimation.observation import in_left_camera, projectable, smoothed, triangulation_covariance
 from uav_vslam.estimation.past_poses import COPY_VARIANCE
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
@@ -393,8 +393,10 @@ class Filter(JointState):
         T_map_left = camera.nav.T_map_body @ camera.rig.T_body_left
         landmarks = T_map_left.apply(points_left)
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        variance = triangulation_covariance(camera.rig, points_left, self.sigma_px)[:, 2, 2]
-        at = smoothed(points_left, variance, depth_sigma_ratio=self._depth_sigma_ratio)
+        known = self.points_left()  # new points alone, which no landmark explains, are often the wrong ones
+        shown = np.vstack([points_left, known[projectable(camera.rig, known)]])
+        variance = triangulation_covariance(camera.rig, shown, self.sigma_px)[:, 2, 2]
+        at = smoothed(shown, variance, depth_sigma_ratio=self._depth_sigma_ratio)[: len(points_left)]
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
         kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self.sigma_px
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)
