@@ -6,11 +6,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.imu_series import ImuSeries
+from uav_vslam.inspection.finding import Severity
 from uav_vslam.inspection.start import check_start, check_truth
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
@@ -54,6 +55,16 @@ def test_truth_of_a_frame_of_its_own_is_told(turn: Pose, told: bool) -> None:
     found = check_start([start(np.eye(3), AHEAD)], IMAGES_NS, ImuSeries(), CONFIG, truth_every(0.02, turn))
     (seen,) = [each.seen for each in found if each.subject == "truth origin"] or [""]
     assert seen == ("where the flight starts it is 100 m and 115 deg from the start state" if told else "")
+
+
+@pytest.mark.parametrize("method", ["in_flight", "map"])
+@pytest.mark.parametrize("recorded", [[], [start(np.eye(3), 9e9 * AHEAD)]])
+def test_where_the_start_is_searched_for_a_recorded_one_is_neither_missed_nor_judged(
+    recorded: list[NavEstimate], method: str
+) -> None:
+    config = replaced(CONFIG, {"start.method": method, "start.map": "map.npz"}, where="test")
+    (found,) = check_start(recorded, IMAGES_NS, ImuSeries(), config, None)
+    assert (found.severity, found.seen) == (Severity.OK, f"start.method {method}: estimated from images and IMU")
 
 
 def test_a_start_without_a_covariance_is_told_that_alone() -> None:

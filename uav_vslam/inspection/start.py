@@ -46,8 +46,8 @@ def check_start(
         config: of the vehicle.
         truth: true motion, if known, in any frame.
     """
-    if config.start.method == "in_flight":
-        return [ok("start state", "start.method in_flight: estimated from images and IMU")]
+    if config.start.searches:
+        return [ok("start state", f"start.method {config.start.method}: estimated from images and IMU")]
     if config.start.method == "static":
         return _check_static(readings, config)
     if not initial:
