@@ -23,6 +23,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from uav_vslam.config.input import COMPRESSED, image_names
 from uav_vslam.ros.batches import waiting
+from uav_vslam.ros.message_types import type_name
 from uav_vslam.ros.publishers import Publishers
 
 STREAM = 10  # messages after which more are expected
@@ -184,11 +185,6 @@ def silent(inputs: Iterable[Input]) -> list[str]:
     for one in inputs:
         any_received[one.stands_for] = any_received.get(one.stands_for, False) or one.received > 0
     return [topic for topic, received in any_received.items() if not received]
-
-
-def type_name(message_type: Any) -> str:
-    """Return the name of a type of messages, as in "sensor_msgs/msg/Imu"."""
-    return f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
 
 
 def mismatch(inputs: Iterable[Input], topic: str, node: Node) -> str:

@@ -29,7 +29,7 @@ from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.diagnostics import status_message
-from uav_vslam.ros.inputs import type_name
+from uav_vslam.ros.message_types import type_name
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.readiness import DiscoveryReport

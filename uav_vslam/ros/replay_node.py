@@ -17,7 +17,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 import yaml
@@ -33,10 +32,11 @@ from uav_vslam.config.nodes import ReplayNodeConfig
 from uav_vslam.config.settings import build
 from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.errors import BagError, ConfigError
+from uav_vslam.errors import ConfigError
 from uav_vslam.ros.answers import EARLY_ANSWER, IMU_AHEAD, Answers, Readings
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.convert import stamp_from_ns
+from uav_vslam.ros.message_types import type_named
 from uav_vslam.ros.pacing import LockStep, Pacer, RealTime, step_s
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import IMAGE, LATCHED, RESUMABLE, SENSOR, STATE
@@ -95,11 +95,7 @@ class ReplayNode(Node):
         return self._config.rate == 0
 
     def _advertise(self, topic: str) -> Publisher:
-        package, _, name = self._recording.topics[topic].msgtype.split("/")
-        try:
-            message_type = getattr(import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError):
-            raise BagError(f"{topic}: {package}/{name} is not installed; build it and source its workspace") from None
+        message_type = type_named(self._recording.topics[topic].msgtype, topic=topic)
         _, kind = self._recording.classify(topic)
         latched = any(raw.topic == topic for raw in self._recording.latched)
         return self.create_publisher(message_type, topic, LATCHED if latched else QOS.get(kind, STATE))

@@ -4,7 +4,6 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
 import rclpy
@@ -17,6 +16,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.domain import check_domain
 from uav_vslam.ros.log_folder import log_folder
+from uav_vslam.ros.message_types import type_named
 
 LONGEST = 8  # elements of an array that are printed
 SPIN_S = 0.1
@@ -142,13 +142,5 @@ def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, w
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-    node.create_subscription(_message_type(node, absolute), absolute, callback, qos, raw=rate)
-
-
-def _message_type(node: Observer, topic: str) -> Any:
-    name = dict(node.get_topic_names_and_types())[topic][0]
-    package, _, message = name.split("/")
-    try:
-        return getattr(import_module(f"{package}.msg"), message)
-    except (ImportError, AttributeError):
-        raise UavVslamError(f"{topic}: {name} is not installed here; build it and source its workspace") from None
+    name = dict(node.get_topic_names_and_types())[absolute][0]
+    node.create_subscription(type_named(name, topic=absolute), absolute, callback, qos, raw=rate)
