@@ -4,7 +4,7 @@
 import argparse
 from typing import Any
 
-from uav_vslam.cli.arguments import positive_seconds
+from uav_vslam.cli.arguments import non_negative, positive_seconds
 
 HELP = "list, print or measure live topics"
 EXAMPLES = """examples:
@@ -19,10 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_options(parser, domain=None, wait=2.0)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     commands = [actions.add_parser("list", help="print every topic with its type")]
-    for action, text in (("echo", "print messages, long arrays shortened"), ("hz", "print the rate once a second")):
-        command = actions.add_parser(action, help=text)
+    for action, summary in (("echo", "print messages, long arrays shortened"), ("hz", "print the rate once a second")):
+        command = actions.add_parser(action, help=summary)
         command.add_argument("topic", metavar="TOPIC")
-        command.add_argument("--count", type=int, default=0, metavar="N", help="end after N messages or reports")
+        text = "end after N messages or reports (default: never)"
+        command.add_argument("--count", type=non_negative, default=0, metavar="N", help=text)
         commands.append(command)
     for command in commands:  # options may stand before the action and after it
         _add_options(command, domain=argparse.SUPPRESS, wait=argparse.SUPPRESS)

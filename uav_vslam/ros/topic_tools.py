@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
@@ -111,13 +112,14 @@ def _format_value(name: str, value: Any, indent: str) -> list[str]:
     rest = f" ... {len(value)} in all" if len(value) > LONGEST else ""
     head = list(value[:LONGEST])
     if head and hasattr(head[0], "get_fields_and_field_types"):
-        items = [line for item in head for line in ["- ", *format_message(item, indent + "  ")]]
-        return [f"{indent}{name}:{rest}", *(indent + line if line == "- " else line for line in items)]
+        items = [line for item in head for line in (f"{indent}-", *format_message(item, indent + "  "))]
+        return [f"{indent}{name}:{rest}", *items]
     return [f"{indent}{name}: [{', '.join(_format_scalar(item) for item in head)}]{rest}"]
 
 
 def _format_scalar(value: Any) -> str:
-    return f"{value:.6g}" if hasattr(value, "hex") else repr(value)
+    number = value.item() if isinstance(value, np.generic) else value  # of an array of a fixed size
+    return f"{number:.6g}" if isinstance(number, float) else repr(number)
 
 
 def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, wait_s: float, rate: bool) -> None:
