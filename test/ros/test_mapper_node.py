@@ -267,6 +267,17 @@ def test_another_start_in_flight_begins_another_map(make: Make, tmp_path: Path) 
     assert "File too large" in node.alarms["map"]
 
 
+def test_a_reset_and_the_start_found_after_it_begin_one_map_together(make: Make, tmp_path: Path) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0", "start.method:=in_flight")
+    calibrate(node)
+    found(node, 5)
+    fly(node, range(VIEWS))
+    node.reset()
+    found(node, 7)
+    assert node._map.folder == tmp_path / "map_2"
+    assert sorted(folder.name for folder in tmp_path.iterdir()) == ["map", "map_2"]
+
+
 def test_where_the_start_is_given_each_map_frame_is_the_same(make: Make, tmp_path: Path) -> None:
     node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
     assert not any(one.topic == "initial_state" for one in node._inputs)

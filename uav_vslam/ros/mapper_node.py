@@ -90,9 +90,12 @@ class MapperNode(VehicleNode):
         super().destroy_node()
 
     def _on_start(self, message: NavigationState) -> None:
-        """Begin another map with another start found in flight: its poses are in a frame of their own."""
+        """Begin another map with another start found in flight: its poses are in a frame of their own.
+
+        An empty map, as after a reset, takes them.
+        """
         before, self._start_ns = self._start_ns, stamp_ns_of(message)
-        if before in (None, self._start_ns):
+        if before in (None, self._start_ns) or not self._map.mapper.views:
             return
         try:
             another = self._new_map(beside=True)
