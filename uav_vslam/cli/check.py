@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import output_file
 from uav_vslam.cli.progress import progress_bar
-from uav_vslam.cli.recordings import bags_and_configs
+from uav_vslam.cli.recordings import add_configuration, bags_and_configs
 
 if TYPE_CHECKING:
     from uav_vslam.config import InputConfig, VehicleConfig
@@ -33,11 +33,7 @@ CANT_RUN = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml", help="bags, or one fleet file")
-    parser.add_argument("--config", metavar="NAME", help="one YAML file, or name of one in config/ (bags only)")
-    parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting; may be repeated"
-    )
+    add_configuration(parser)
     parser.add_argument("--json", type=output_file, metavar="FILE", help="also write the findings into a file")
 
 

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +18,6 @@ if TYPE_CHECKING:
 
 def compare_files(args: argparse.Namespace) -> int:
     """Score all estimates, print the tables, and write figures and plot."""
-    from functools import partial
-
     from uav_vslam.evaluation.comparison import compare, pair_run
     from uav_vslam.evaluation.output import write_comparison
     from uav_vslam.evaluation.pairing import MAX_GAP_S
@@ -41,8 +41,6 @@ def compare_files(args: argparse.Namespace) -> int:
 
 
 def _runs(args: argparse.Namespace) -> list[Run]:
-    from dataclasses import replace
-
     from uav_vslam.evaluation.clock_offset import later
     from uav_vslam.evaluation.files.reading import read_trajectory
     from uav_vslam.evaluation.files.results_folder import distinct_names

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Cut; return 2 if the recording is damaged, after cutting what can be read."""
-    from uav_vslam.cli.overrides import override
+    from uav_vslam.cli.overrides import overrides
     from uav_vslam.config import find_config, load_vehicle
     from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
     from uav_vslam.datasets.cutting import WHAT_A_CUT_HIDES, source_of, with_drawn_starts
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     if require_new(args.out):  # before any work
         warn(f"{args.out}.partial, left by work that was cut short, is removed")
     file = find_config(args.config) if args.config else None
-    config = with_noise_of_files(load_vehicle(file, overrides=dict(override(item) for item in args.set)))
+    config = with_noise_of_files(load_vehicle(file, overrides=overrides(args.set)))
     flight = source_of(args.bag, args.vehicle, config.input)
     cut = _planned(args, flight, config, options)
     with progress_bar("writing", sum(vehicle.frames for vehicle in cut.vehicles)) as advance:

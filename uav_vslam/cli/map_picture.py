@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,8 +50,6 @@ def write_picture_and_model(
     Raises:
         UavVslamError: no view shows the surface.
     """
-    from tempfile import TemporaryDirectory
-
     from uav_vslam.mapping.model import write_model
     from uav_vslam.mapping.orthomosaic import blended_mosaic
     from uav_vslam.mapping.orthomosaic.heights import GridHeights

@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration keys given on the command line, as `backend.sigma_px=0.5`."""
+"""Settings given on the command line, as `backend.sigma_px=0.5`."""
+
+from collections.abc import Iterable
 
 
-def override(item: str) -> tuple[str, object]:
-    """Return key and value of one.
+def overrides(items: Iterable[str]) -> dict[str, object]:
+    """Return values by dotted name.
 
     Raises:
-        ConfigError: it is not of that form, or the value is not YAML.
+        ConfigError: one is not of that form, or its value is not YAML.
     """
+    return dict(map(_override, items))
+
+
+def _override(item: str) -> tuple[str, object]:
     import yaml
 
     from uav_vslam.errors import ConfigError

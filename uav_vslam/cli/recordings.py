@@ -14,26 +14,39 @@ if TYPE_CHECKING:
     from uav_vslam.datasets.bag_flight import BagFlight
 
 
+def add_configuration(parser: argparse.ArgumentParser) -> None:
+    """Declare which vehicles' recordings are read, and with which settings."""
+    parser.add_argument("--config", metavar="NAME", help="one YAML file, or name of one in config/ (bags only)")
+    parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override one setting of all vehicles; may be repeated",
+    )
+
+
 def bags_and_configs(
     args: argparse.Namespace,
     vehicles: Callable[[tuple[Path, ...], InputConfig], list[str]],
-    overrides: Mapping[str, object] = MappingProxyType({}),
+    more: Mapping[str, object] = MappingProxyType({}),
 ) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
     """Return the bags and each vehicle's configuration: of a fleet file, or of bags with one configuration for all.
 
     Args:
-        args: inputs, config, vehicles and set, as of `run`.
+        args: inputs, and what `add_configuration` declares.
         vehicles: returns the names of the vehicles of bags.
-        overrides: settings that the verb's other options stand for, by dotted name.
+        more: settings that the verb's other options stand for, by dotted name.
 
     Raises:
         ConfigError: a fleet file comes with other inputs, or a file, key or value is wrong.
     """
-    from uav_vslam.cli.overrides import override
+    from uav_vslam.cli.overrides import overrides
     from uav_vslam.config import find_config, load_fleet, load_vehicle
     from uav_vslam.errors import ConfigError
 
-    overrides = dict(override(item) for item in args.set) | dict(overrides)
+    changed = overrides(args.set) | dict(more)
     file = next((path for path in args.inputs if path.suffix in {".yaml", ".yml"}), None)
     if file is not None:
         if len(args.inputs) > 1 or args.vehicles or args.config:
@@ -41,12 +54,12 @@ def bags_and_configs(
                 f"{file} is a fleet file: it names the recordings, the vehicles and their configurations, so "
                 "no other input, --vehicles or --config goes with it; change the file, or use --set"
             )
-        fleet = load_fleet(file, overrides=overrides)
+        fleet = load_fleet(file, overrides=changed)
         if not fleet.replay.bags:
             raise ConfigError(f"{file}: replay.bags is empty; name the recordings")
         return fleet.replay.bags, fleet.vehicles
     bags = tuple(args.inputs)
-    config = load_vehicle(find_config(args.config) if args.config else None, overrides=overrides)
+    config = load_vehicle(find_config(args.config) if args.config else None, overrides=changed)
     return bags, dict.fromkeys(vehicles(bags, config.input), config)
 
 

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES, add_results, positive
 from uav_vslam.cli.messages import say, warn, warn_each, warn_of_truth
 from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.recordings import add_configuration, bags_and_configs, open_flights
 
 if TYPE_CHECKING:
     from uav_vslam.config import InputConfig, VehicleConfig
@@ -41,15 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare all but the inputs."""
-    parser.add_argument("--config", metavar="NAME", help="one YAML file, or name of one in config/ (bags only)")
-    parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override one setting of all vehicles; may be repeated",
-    )
+    add_configuration(parser)
     parser.add_argument("--mode", choices=MODES, help="communication mode")
     parser.add_argument(
         "--map", type=Path, metavar="FILE", help="start in flight over the ground of an earlier run's <vehicle>_map.npz"
@@ -74,10 +69,6 @@ def run(args: argparse.Namespace) -> int:
 
 def flown(args: argparse.Namespace) -> tuple[Path, int]:
     """Run, evaluate, write; return the results folder and the exit code."""
-    import time
-    from functools import partial
-
-    from uav_vslam.cli.recordings import open_flights
     from uav_vslam.config import load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
@@ -131,9 +122,6 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
 
 def _configured(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
     """Return the bags and each vehicle's configuration, after warnings about them."""
-    from functools import partial
-
-    from uav_vslam.cli.recordings import bags_and_configs
     from uav_vslam.config import idle_settings, separate_maps
 
     more = {"fusion.mode": args.mode} if args.mode else {}

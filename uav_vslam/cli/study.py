@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import add_results, non_negative, positive
-from uav_vslam.cli.overrides import override
+from uav_vslam.cli.overrides import overrides
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.studies.registry import STUDIES
 
@@ -78,9 +78,9 @@ def run(args: argparse.Namespace) -> int:
     """Run the chosen study; print its tables, write and draw them."""
     study, seeds = STUDIES[args.study], seeds_of(args)
     if study.variants:
-        args.variant = {text: dict(override(item) for item in text.split(",")) for text in args.variant}
+        args.variant = {text: overrides(text.split(",")) for text in args.variant}
     if study.settings:
-        args.set = dict(override(item) for item in args.set)
+        args.set = overrides(args.set)
     with ExitStack() as shown:
 
         def progress(total: int, title: str = f"study {args.study}") -> Callable[..., None]:
