@@ -271,6 +271,15 @@ def test_image_stamps_that_do_not_go_on_are_told_while_they_do_not(make: Make) -
     assert "images" not in node.alarms
 
 
+def test_a_single_reading_stamped_ahead_blames_neither_images_nor_back_end(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 1.0)
+    deliver(node, "imu/data_raw", Imu(header=header(NOW_NS + 100 * NS_PER_S, node.base_frame)))
+    deliver(node, "slam/correction", start_at(NOW_NS + NS_PER_S))
+    assert not node.alarms
+
+
 @pytest.mark.parametrize(("apart_s", "said"), [(3, "3.0 s ahead of"), (-3, "3.0 s behind"), (1, ""), (-1, "")])
 def test_clocks_of_images_and_imu_that_are_seconds_apart_are_told(make: Make, apart_s: int, said: str) -> None:
     node = make()

@@ -146,7 +146,6 @@ class InsPropagatorNode(VehicleNode):
 
     def _on_reading(self, reading: ImuSample) -> None:
         self._reading_ns = reading.stamp_ns
-        self._status.report_reading(self._reading_ns)
         self._feed(IMU, reading.stamp_ns, reading)
         self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
 
@@ -250,6 +249,8 @@ class InsPropagatorNode(VehicleNode):
 
     def _process(self, item: ImuSample | int) -> None:
         """Process an IMU sample or an image stamp."""
+        if isinstance(item, ImuSample):
+            self._status.report_reading(item.stamp_ns)
         if self._preintegrator is not None:
             self._preintegrate(self._preintegrator, item)
         if self._live is not None:
@@ -297,7 +298,7 @@ class InsPropagatorNode(VehicleNode):
     def _on_correction(self, message: NavigationState) -> None:
         corrected = navigation_from_msg(message)
         self._correction, self._resumed = message, False
-        self._status.report_lag((self._reading_ns - corrected.state.stamp_ns) / NS_PER_S)
+        self._status.report_lag(corrected.state.stamp_ns)
         if self._live is not None:
             self._live.correct(corrected)
         elif self._preintegrator is None or self._is_reset:

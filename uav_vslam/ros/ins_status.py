@@ -25,14 +25,20 @@ class InsStatus:
         """Begin again, before the first reading of another flight."""
         self._gaps = RecentEvents()
         self._reading_ns = -1  # the newest when the newest image came
-        self._first_ns: int | None = None  # stamp of the first reading
+        self._first_ns: int | None = None  # stamps of the first and the newest reading on the time line
+        self._newest_ns: int | None = None
         self._image_came_ns: int | None = None  # by the clock that is ahead, should they differ
         self._apart = 0  # images in a row
         for subject in OF_INPUTS:
             self._node.alarms.pop(subject, None)
 
-    def report_lag(self, lag_s: float) -> None:
-        """Warn while the back end's corrections are late: everything after the INS is then as late."""
+    def report_lag(self, corrected_ns: int) -> None:
+        """Warn while the back end's corrections are late: everything after the INS is then as late.
+
+        Args:
+            corrected_ns: stamp of the newest correction [ns].
+        """
+        lag_s = 0.0 if self._newest_ns is None else (self._newest_ns - corrected_ns) / NS_PER_S
         text = f"the back end's estimate is {lag_s:.1f} s behind the readings: it or the front end does not keep up"
         self._node.report_alarm("lag", text if lag_s > MAX_LAG_S else "", logged=True)
 
@@ -62,8 +68,9 @@ class InsStatus:
         """Warn while readings go on without new stamps of images: a camera_info that comes once, or is not stamped.
 
         Args:
-            reading_ns: stamp of the newest reading [ns].
+            reading_ns: stamp of the newest reading on the time line [ns].
         """
+        self._newest_ns = reading_ns
         self._first_ns = reading_ns if self._first_ns is None else self._first_ns
         if self._image_came_ns is None or reading_ns - max(self._image_came_ns, self._first_ns) <= SILENT_NS:
             self._node.alarms.pop("images", None)
