@@ -215,6 +215,17 @@ def test_a_recorded_start_state_is_not_replayed_to_a_vehicle_that_estimates_its_
     assert {raw.topic for raw in recording.latched} == {"/uav1/initial_state", "/tf_static"}
 
 
+@pytest.mark.parametrize(
+    "name", ["odometry", "slam/quality", "fused/odometry", "map/surface", "received/uav2", "mapper/transition_event"]
+)
+def test_what_the_nodes_publish_is_not_replayed(name: str, bags: list[Path], tmp_path: Path) -> None:
+    with RawRecorder(tmp_path / "all") as out:
+        for raw in iter_raw([bags[0]]):
+            out.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)
+        out.write(f"/uav1/{name}", raw.msgtype, raw.data, raw.stamp_ns)
+    assert Recording([tmp_path / "all"]).topics.keys() == Recording([bags[0]]).topics.keys()
+
+
 def test_the_static_transforms_of_all_bags_are_one_message(fleet: Fleet, bags: list[Path]) -> None:
     fleet.replay(bags)
     children = [transform.child_frame_id for transform in fleet.static[-1].transforms]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
+from uav_vslam.config.nodes import NODES
 from uav_vslam.datasets.bag import unmoved_edges
 from uav_vslam.datasets.bag import vehicles as vehicles_of
 from uav_vslam.datasets.cdr import RawMessage, decode, encode
@@ -27,7 +28,7 @@ KINDS = {"left": Kind.LEFT, "right": Kind.RIGHT, "left_info": Kind.INFO, "imu": 
 LEAST_BYTES = 4  # of a serialised message
 # Outputs of the nodes: not replayed from the recording of a whole run.
 OUTPUTS = ("odometry", "path", "landmarks", "stereo_features", "joint_information", "landmark_information")
-OUTPUT_FOLDERS = ("ins/", "slam/", "fused/", "fusion/")
+OUTPUT_FOLDERS = ("ins/", "slam/", "fused/", "map/", "received/", *(f"{node}/" for node in NODES))
 
 
 class Recording:
