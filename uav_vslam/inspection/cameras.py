@@ -21,11 +21,10 @@ CALIBRATE = "calibrate again, or check the file"
 
 def check_camera(name: str, camera: PinholeCamera) -> list[Finding]:
     """Check that intrinsics are those of a usual camera."""
-    fields = [_field_deg(size, focal) for size, focal in ((camera.width, camera.fx), (camera.height, camera.fy))]
-    if camera.model == "equidistant":
-        fields = [math.degrees(size / focal) for size, focal in ((camera.width, camera.fx), (camera.height, camera.fy))]
-    narrowest, widest = limits.FIELD_OF_VIEW_DEG
-    widest = limits.FISHEYE_FIELD_DEG if camera.model == "equidistant" else widest
+    fisheye = camera.model == "equidistant"
+    sizes = camera.width / camera.fx, camera.height / camera.fy
+    fields = [math.degrees(size if fisheye else 2.0 * math.atan(0.5 * size)) for size in sizes]
+    narrowest, widest = limits.FISHEYE_FIELD_DEG if fisheye else limits.FIELD_OF_VIEW_DEG
     subject = f"{name} calibration"
     seen = (
         f"{camera.width}x{camera.height} px, f {camera.fx:.1f}, {camera.fy:.1f} px, centre ({camera.cx:.1f}, "
@@ -125,7 +124,3 @@ def _contrast(image: NDArray[Any]) -> float:
         return contrast(to_grey8(image)[::STEP_PX, ::STEP_PX])
     except InvalidMessage:  # an empty image
         return 0.0
-
-
-def _field_deg(size_px: float, focal_px: float) -> float:
-    return math.degrees(2.0 * math.atan(0.5 * size_px / focal_px))

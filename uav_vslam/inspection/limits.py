@@ -38,8 +38,8 @@ ROTATION_DETECTED = 5.0  # rms rate over its expected error; below, the vehicle 
 REFERENCE_SIGMA_DEG = 0.1  # attitude noise of truth, and of the rotation between two images
 
 # Cameras
-FIELD_OF_VIEW_DEG = 10.0, 150.0  # of a pinhole camera, full width; fisheyes have up to 200
-FISHEYE_FIELD_DEG = 200.0
+FIELD_OF_VIEW_DEG = 10.0, 150.0  # of a pinhole camera, full width
+FISHEYE_FIELD_DEG = 10.0, 200.0
 PIXEL_ASPECT = 0.8, 1.25  # fx / fy; pixels of usual sensors are square
 CENTRE_SHARE = 0.25, 0.75  # principal point over image size
 BASELINE_M = 0.01, 5.0  # between finger's breadth and wing span; in millimetres it is 1000 times more
@@ -54,7 +54,6 @@ BLIND_SHARE = 0.25  # of the sampled images without contrast
 REPEATED_SHARE = 0.02  # of the images equal to the one before
 
 # Start and truth
-START_BEFORE_S = 30.0  # `ins.startup_buffer` holds so much
 LARGEST_SPEED = 150.0  # [m/s] of an UAV
 START_SIGMAS = 5.0  # of the start's own, by which its velocity may differ from the truth's
 START_DISTANCE = 1.0  # [m] from the truth besides: the way between their stamps

@@ -50,10 +50,11 @@ def rotations_by_truth(truth: TruthTrack, stamps_ns: Stamps, gyro: Array) -> Rat
         stamps_ns: (N,) increasing [ns].
         gyro: (N, 3) readings in the body [rad/s].
     """
-    step = max(1, round(INTERVAL_S * NS_PER_S / float(np.median(np.diff(truth.stamps_ns)))))
+    interval_ns, period_ns = INTERVAL_S * NS_PER_S, float(np.median(np.diff(truth.stamps_ns)))
+    step = max(1, round(interval_ns / period_ns))
     rows = np.arange(0, len(truth), step)
     starts, ends = truth.stamps_ns[rows[:-1]], truth.stamps_ns[rows[1:]]
-    near = (ends - starts) <= 2.0 * max(INTERVAL_S * NS_PER_S, float(np.median(np.diff(truth.stamps_ns))))
+    near = (ends - starts) <= 2.0 * max(interval_ns, period_ns)
     starts, ends, rows_start, rows_end = (one[near] for one in (starts, ends, rows[:-1], rows[1:]))
     seconds = (ends - starts) / NS_PER_S
     rates = rates_of_rotations(truth.R_world_body[rows_start], truth.R_world_body[rows_end], seconds)

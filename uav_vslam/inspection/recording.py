@@ -180,7 +180,7 @@ def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
         if camera is not None:
             found.findings += cameras.check_camera(f"{side} camera", camera)
         repeated = survey.repeated.get(side, np.zeros(0, bool))
-        found.findings += cameras.check_images(f"{side}", survey.images[side], repeated, camera)
+        found.findings += cameras.check_images(side, survey.images[side], repeated, camera)
     try:
         rig = survey.setup.rig()
     except CalibrationError as refused:

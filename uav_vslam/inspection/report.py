@@ -2,10 +2,11 @@
 """An inspection as text of at most 100 columns, and as a tree for JSON."""
 
 import dataclasses
+import math
 import textwrap
 from typing import Any
 
-from uav_vslam.datasets.survey import Survey
+from uav_vslam.datasets.survey import Stream, Survey
 from uav_vslam.inspection import timing
 from uav_vslam.inspection.finding import Finding, Severity, count
 from uav_vslam.inspection.recording import Inspection
@@ -81,8 +82,8 @@ def _table(survey: Survey) -> list[str]:
     ]
 
 
-def _rate_hz(stream: Any) -> float | None:
-    return None if stream.period_ns != stream.period_ns else NS_PER_S / stream.period_ns
+def _rate_hz(stream: Stream) -> float | None:
+    return None if math.isnan(stream.period_ns) else NS_PER_S / stream.period_ns
 
 
 def _entry(finding: Finding) -> list[str]:

@@ -16,6 +16,7 @@ from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagation import POSITION, ROTATION, VELOCITY
+from uav_vslam.ins.startup_buffer import MAX_APART_S
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 from uav_vslam.numerics import is_positive_definite
@@ -112,9 +113,9 @@ def _check_start_time(stamp_ns: int, images_ns: Stamps, readings: ImuSeries) -> 
     into_s = (stamp_ns - images_ns.min()) / NS_PER_S
     unused = int((images_ns < stamp_ns).sum())
     remedy = "give the state at the first image, with the sensors' clock"
-    if unused >= len(images_ns) or into_s < -limits.START_BEFORE_S:
+    if unused >= len(images_ns) or into_s < -MAX_APART_S:
         seen = f"stamped {into_s:.2f} s after the first image, which leaves {len(images_ns) - unused} images"
-        return [error("start time", seen, f"within the flight, or {limits.START_BEFORE_S:g} s before it", remedy)]
+        return [error("start time", seen, f"within the flight, or {MAX_APART_S:g} s before it", remedy)]
     before_s = (readings.stamps_ns[0] - stamp_ns) / NS_PER_S if readings else 0.0
     if before_s > MAX_GAP_S:
         seen = f"{before_s:.2f} s before the first reading"
