@@ -67,3 +67,10 @@ def test_a_stream_is_useless_if_its_stamps_stand_still_or_go_back(
 ) -> None:
     (finding,) = check_order("IMU", stamps_ns)
     assert (finding.severity.value, finding.seen.startswith(seen)) == (severity, True)
+
+
+def test_a_stamp_that_goes_back_is_found_by_the_number_of_its_message_and_the_time_before_it() -> None:
+    stamps_ns = EVEN_NS + 1_700_000_000_000_000_000
+    stamps_ns[1000] = 0
+    (finding,) = check_order("IMU", stamps_ns)
+    assert finding.seen.endswith("first at message 1001 (after 5.00 s)")

@@ -214,7 +214,7 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     ),
     "IMU stamps backwards": (
         lambda: [backwards(IMU, 300, 200_000_000)],
-        [("warning", "IMU stamps", ("1 of", "go backwards", "message 300"))],
+        [("warning", "IMU stamps", ("1 of", "go backwards", "message 301"))],
     ),
     "gap in the IMU": (
         lambda: [missing(IMU, range(200, 280))],

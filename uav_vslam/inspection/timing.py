@@ -31,10 +31,10 @@ def check_order(name: str, stamps_ns: Stamps) -> list[Finding]:
     back, same = int((steps < 0).sum()), int((steps == 0).sum())
     if not back + same:
         return []
-    first = int(np.flatnonzero(steps <= 0)[0]) + 1
+    last = int(np.flatnonzero(steps <= 0)[0])  # before the first of them, whose own stamp may be anything
     seen = (
-        f"{back} of {len(stamps_ns)} stamps go backwards and {same} repeat the one before, first at message {first} "
-        f"({_after_start(stamps_ns, first):.2f} s)"
+        f"{back} of {len(stamps_ns)} stamps go backwards and {same} repeat the one before, first at message {last + 2} "
+        f"(after {(stamps_ns[last] - stamps_ns[0]) / NS_PER_S:.2f} s)"
     )
     useless = back > limits.UNUSABLE_SHARE * len(steps) or same > limits.STUCK_SHARE * len(steps)
     judge = error if useless else warning
@@ -195,10 +195,6 @@ def _gap_text(stamps_ns: Stamps, gaps: NDArray[np.intp]) -> str:
     worst = gaps[np.argsort(steps[gaps])[::-1][:3]]
     where = ", ".join(f"{steps[k]:.3g} s at {(ordered[k] - ordered[0]) / NS_PER_S:.2f} s" for k in worst)
     return f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''}: {where}{', ...' if len(gaps) > 3 else ''}"
-
-
-def _after_start(stamps_ns: Stamps, index: int) -> float:
-    return float(stamps_ns[index] - stamps_ns[0]) / NS_PER_S
 
 
 def _delay_s(stream: Stream) -> float:
