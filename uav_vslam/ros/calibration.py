@@ -41,9 +41,8 @@ class RigListener:
     """
 
     def __init__(self, node: VehicleNode, on_complete: Callable[[], None] = lambda: None) -> None:
-        self._node, self._on_complete = node, lambda: None
+        self._node, self._on_complete = node, on_complete
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
-        self.rig: StereoRig | None = None
         self._received: dict[str, tuple[object, ...]] = {}  # by each camera's newest camera_info
         if self._setup.needs_infos:
             for side in SIDES:
@@ -51,8 +50,7 @@ class RigListener:
                 node.listen(CameraInfo, topic, partial(self._on_camera, side), STATE)
         if self._setup.needs_frames:
             node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
-        self._assemble()
-        self._on_complete = on_complete
+        self.rig = self._assembled()
 
     @property
     def time_offset_ns(self) -> int:
@@ -96,7 +94,9 @@ class RigListener:
     def _follow(self) -> None:
         """Complete the rig, or report that another one than that in use was received."""
         if self.rig is None:
-            self._assemble()
+            self.rig = self._assembled()
+            if self.rig is not None:
+                self._on_complete()
             return
         fault = self._fault(self.rig)
         if fault != self._node.failures.get(CHANGED):
@@ -121,21 +121,26 @@ class RigListener:
         except CalibrationError:
             return None
 
-    def _assemble(self) -> None:
-        if self.rig is not None or self._setup.missing_infos:
-            return
+    def _assembled(self) -> StereoRig | None:
+        """Return the first rig, once it is complete.
+
+        Raises:
+            InvalidMessage: what was received can't be one.
+        """
+        if self._setup.missing_infos:
+            return None
         missing = self._setup.missing_transforms()
         if missing:
             self._node.notes[MISSING] = f"/tf_static has no {', '.join(missing)}"
-            return
+            return None
         self._node.notes.pop(MISSING, None)
         try:
-            self.rig = self._setup.rig()
+            rig = self._setup.rig()
         except CalibrationError as error:
             self._setup.cameras.clear()  # later ones may be valid
             raise InvalidMessage("calibration", str(error)) from None
-        self._node.get_logger().info(f"rig complete: baseline {self.rig.baseline_m:.3f} m")
-        self._on_complete()
+        self._node.get_logger().info(f"rig complete: baseline {rig.baseline_m:.3f} m")
+        return rig
 
 
 def _valid_edges(node: VehicleNode, message: TFMessage) -> list[Edge]:
@@ -208,7 +213,7 @@ class ImuListener:
         return self._setup.needs_infos
 
     def restart(self) -> None:
-        """Find out anew where the IMU is."""
+        """Find out again where the IMU is."""
         self._mounting = None
         self._node.failures.pop(CHANGED, None)
         self._node.alarms.pop("imu_frame", None)
