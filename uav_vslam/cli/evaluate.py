@@ -79,8 +79,13 @@ def run(args: argparse.Namespace) -> int:
         raise BagError(
             f"{bags[0]} is a bag, which is evaluated with other bags only; run it, and give the folder of the results"
         )
-    options = ("--times", "--segments", "--max-gap", "--truth-offset")
-    if given := first_given({name: getattr(args, name[2:].replace("-", "_")) for name in options}):
+    useless = {
+        "--times": args.times,
+        "--segments": args.segments,
+        "--max-gap": args.max_gap,
+        "--truth-offset": args.truth_offset,
+    }
+    if given := first_given(useless):
         raise ConfigError(f"{given} serves files and results folders; evaluate {bags[0]} without, then its results")
     return evaluate(
         args.inputs,

@@ -74,7 +74,7 @@ class PeerRecord:
 
     @property
     def ahead_ns(self) -> int:
-        """By which the peer's clock counts as ahead of the own one [ns]."""
+        """How far the peer's clock counts as ahead of the own one [ns]."""
         return (self.sessions and self.sessions.ahead_ns) or 0
 
     @property

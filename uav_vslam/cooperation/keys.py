@@ -63,10 +63,10 @@ def check_keys(fleet: FleetConfig, vehicles: Collection[str]) -> list[KeyReport]
     Raises:
         ConfigError: a vehicle is not in the fleet.
     """
-    reports = [_report(name, config.fusion) for name, config in fleet.chosen(vehicles).items()]
-    kinds = {
-        one.fingerprint if _fusion(fleet, one).fleet_key_file else VEHICLE_KEYS for one in reports if one.fingerprint
-    }
+    fusion = {name: config.fusion for name, config in fleet.chosen(vehicles).items()}
+    reports = [_report(name, one) for name, one in fusion.items()]
+    found = [one for one in reports if one.fingerprint]
+    kinds = {one.fingerprint if fusion[one.vehicle].fleet_key_file else VEHICLE_KEYS for one in found}
     differ = "" if len(kinds) < 2 else "the vehicles have different keys: copy one file to all"
     return [one if one.fault else dataclasses.replace(one, fault=differ) for one in reports]
 
@@ -76,10 +76,6 @@ def without_key(fleet: FleetConfig) -> list[str]:
     fusion = {name: config.fusion for name, config in fleet.vehicles.items()}
     alone = len(fusion) < 2
     return [name for name, one in fusion.items() if not (alone or one.mode == "none" or _key_file(one))]
-
-
-def _fusion(fleet: FleetConfig, report: KeyReport) -> FusionConfig:
-    return fleet.vehicles[report.vehicle].fusion
 
 
 def _key_file(fusion: FusionConfig) -> str:

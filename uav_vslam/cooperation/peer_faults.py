@@ -19,7 +19,7 @@ def peer_faults(inbox: Inbox) -> dict[str, str]:
 
 
 def clocks_ahead(inbox: Inbox) -> dict[str, str]:
-    """Return whose clock is far ahead in a line each, by subject; it costs nothing."""
+    """Return a line for each peer whose clock is far ahead, by subject; its packets are used all the same."""
     return {
         f"clock/{peer}": f"the clock of {peer} is {record.ahead_ns / NS_PER_S:.0f} s ahead: its packets are used as "
         "they arrive"

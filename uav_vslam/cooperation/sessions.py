@@ -49,7 +49,7 @@ class Sessions:
         began_ns: stamp of its first packet [ns].
         received_ns: own time of its last packet [ns].
         rival: the last other one.
-        ahead_ns: by which the sender's clock counts as ahead of the own one; None while the own time is unknown [ns].
+        ahead_ns: how far the sender's clock counts as ahead of the own one [ns]; None while the own time is unknown.
     """
 
     current: int

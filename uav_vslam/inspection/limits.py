@@ -56,6 +56,6 @@ REPEATED_SHARE = 0.02  # of the images equal to the one before
 # Start and truth
 LARGEST_SPEED = 150.0  # [m/s] of an UAV
 START_SIGMAS = 5.0  # of the start's own, by which its velocity may differ from the truth's
-START_DISTANCE = 1.0  # [m] from the truth besides: the way between their stamps
-START_TURN_DEG = 2.0  # from the truth besides
-START_VELOCITY = 0.5  # [m/s] of the truth besides, whose velocity may be a difference of positions
+START_DISTANCE = 1.0  # [m] in addition: the way between the stamps of start and truth
+START_TURN_DEG = 2.0  # in addition
+START_VELOCITY = 0.5  # [m/s] in addition: the truth's velocity may be a difference of positions

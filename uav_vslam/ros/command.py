@@ -20,9 +20,9 @@ class Command:
         name: prefix of its output.
         argv: program and arguments.
         leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
-        optional: the fleet goes on without it if it fails, unless its input is wrong.
         environment: variables in addition to the supervisor's.
         resume: further arguments of a process that takes the place of one that failed.
+        optional: the fleet goes on without it if it fails, unless its input is wrong.
     """
 
     name: str
@@ -46,9 +46,9 @@ def node_command(spec: NodeSpec, log_level: str = "") -> Command:
 
 def find_executable(name: str) -> list[str]:
     """Return the start command of a node: the installed program as for `ros2 run`, or the module itself."""
-    beside = [Path(sys.argv[0]).resolve().parent]
-    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if prefix]
-    for folder in [*(prefix / "lib" / PACKAGE for prefix in prefixes), *beside]:
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(":")
+    installed = [Path(prefix) / "lib" / PACKAGE for prefix in prefixes if prefix]
+    for folder in (*installed, Path(sys.argv[0]).resolve().parent):
         if os.access(folder / name, os.X_OK) and (folder / name).is_file():
             return [str(folder / name)]
     return [sys.executable, "-m", f"{PACKAGE}.ros.{name}_node"]

@@ -149,6 +149,11 @@ def without_parameter_services(spec: NodeSpec) -> NodeSpec:
     return dataclasses.replace(spec, parameters=spec.parameters | {"parameter_services": False})
 
 
+def vehicle_in(namespace: str) -> str:
+    """Return the name of the vehicle whose nodes are in a namespace, unless their parameter `vehicle` gives another."""
+    return namespace.strip("/").replace("/", "_")
+
+
 def packets_of(vehicle: str) -> str:
     """Return the topic on which a vehicle sends its packets."""
     return f"/{vehicle}/landmark_information"

@@ -22,6 +22,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
 from uav_vslam.monitor import Claim, Fleet, Link, NodeReport, Peer, Vehicle
+from uav_vslam.ros.fleet_commands import vehicle_in
 from uav_vslam.ros.topic_tools import Observer
 from uav_vslam_msgs.msg import FrameQuality, FusionStatus, StereoFeatures
 
@@ -66,7 +67,7 @@ class GraphListener:
             self._find_imu(name, namespace)
 
     def _add(self, namespace: str) -> None:
-        name = namespace.strip("/").replace("/", "_")  # as the nodes name their vehicle
+        name = vehicle_in(namespace)
         vehicle = self._fleet.vehicle(name)
         if vehicle is None or name in self._namespaces:
             return

@@ -32,11 +32,7 @@ from uav_vslam.ins.sensor_lag import IMAGES, IMU
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
 from uav_vslam.ros.batches import Batches
 from uav_vslam.ros.calibration import ImuListener
-from uav_vslam.ros.convert import (
-    increment_to_msg,
-    navigation_from_msg,
-    navigation_to_msg,
-)
+from uav_vslam.ros.convert import increment_to_msg, navigation_from_msg, navigation_to_msg
 from uav_vslam.ros.inputs import Input, image_topics
 from uav_vslam.ros.ins_outputs import InsOutputs
 from uav_vslam.ros.ins_status import InsStatus

@@ -50,7 +50,7 @@ class _NextTurn:
 
 
 def _save(job: Future[str], mapped: Mapped, path: str) -> None:
-    """Save a map; the job's result tells of it."""
+    """Save a map; the job's result is the service's answer."""
     try:
         saved = mapped.saved_map()
         if not len(saved):

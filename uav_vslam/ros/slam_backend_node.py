@@ -136,7 +136,7 @@ class SlamBackendNode(VehicleNode):
         return stage
 
     def configure(self, config: VehicleConfig) -> None:
-        """Go on with live settings that have changed."""
+        """Apply changed live settings."""
         self._stage.configure(config)
 
     def _on_initial_state(self, message: NavigationState) -> None:

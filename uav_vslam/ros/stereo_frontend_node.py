@@ -69,7 +69,7 @@ class StereoFrontendNode(VehicleNode):
             self._choices[side] = {kind: listen() for kind, listen in self._candidates[side].items()}
 
     def configure(self, config: VehicleConfig) -> None:
-        """Go on with live settings that have changed."""
+        """Apply changed live settings."""
         if self._frontend is not None:
             self._frontend.configure(config.frontend)
 

@@ -24,7 +24,7 @@ SPIN_S = 0.1
 
 
 class Observer(Node):
-    """A node with subscriptions only."""
+    """A node that serves nobody; whoever uses it spins it."""
 
     def __init__(self, context: rclpy.Context, name: str) -> None:
         super().__init__(name, context=context, start_parameter_services=False, enable_rosout=False)

@@ -22,6 +22,7 @@ from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.diagnostics import status_message
 from uav_vslam.ros.executor import CLOCK
+from uav_vslam.ros.fleet_commands import vehicle_in
 from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mismatch, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
@@ -62,8 +63,7 @@ class VehicleNode(PausableNode):
         for setting, text in idle_settings(self.config).items():
             if setting in NODES[name].used_names:
                 self.get_logger().warning(text)
-        namespace = self.get_namespace().strip("/").replace("/", "_")
-        self.vehicle: str = self.own.vehicle or namespace
+        self.vehicle: str = self.own.vehicle or vehicle_in(self.get_namespace())
         if not self.vehicle:
             raise ConfigError(f"start it in its vehicle's namespace, as in --ros-args -r __ns:=/uav1 (node {name})")
         self._settings.keep_live(state_folder() / f"{self.vehicle}_{name}.json", resume=self.own.resume)
@@ -117,7 +117,7 @@ class VehicleNode(PausableNode):
         return super().on_deactivate(state)
 
     def configure(self, config: VehicleConfig) -> None:
-        """Go on with live settings that have changed."""
+        """Apply changed live settings."""
 
     @property
     def world_frame(self) -> str:
