@@ -56,6 +56,7 @@ class Flight:
         self.others = rclpy.create_node("others", use_global_arguments=False)
         self.executor.add_node(self.node)
         self.executor.add_node(self.others)
+        self.session = 1
         self.status: list[FusionStatus] = []
         self.received: list[LandmarkInformation] = []
         status = self.others.create_subscription(FusionStatus, "/uav1/fusion/status", self.status.append, STATE)
@@ -85,7 +86,7 @@ class Flight:
 
     def joint(self, second: int, vehicle: str) -> JointInformation:
         points = [[4.0 * k, 7.0 * (k % 3), 0.0] for k in range(6)]
-        return self._make_joint(points, np.eye(24), vehicle=vehicle, stamp_ns=second * NS_PER_S)
+        return self._make_joint(points, np.eye(24), vehicle=vehicle, session=self.session, stamp_ns=second * NS_PER_S)
 
     def epoch(self, second: int) -> FusionStatus:
         """Feed the frame of an epoch and return the status that it brings."""
@@ -160,6 +161,20 @@ def test_the_mode_is_switched_in_flight_and_estimates_go_on(fly: Callable[..., F
     assert flight.set("fusion.mode", "wideband").successful
     assert flight.spin(lambda: flight.offered() == [ReliabilityPolicy.RELIABLE])
     assert flight.epoch(5).packets_sent == 3
+
+
+def test_frames_of_the_session_before_that_wait_still_do_not_keep_out_those_of_a_clock_that_was_set_back(
+    fly: Callable[..., Flight],
+) -> None:
+    flight = fly()
+    flight.epoch(20)
+    flight._move(20 * NS_PER_S + NS_PER_S // 7)
+    flight._move(20 * NS_PER_S + 2 * NS_PER_S // 7)
+    flight.session = 2
+    flight._joints.publish(joint_to_msg(flight.joint(1, "uav1"), frame_id="uav1/map"))
+    flight._move(NS_PER_S)  # the first frame of a session brings no status
+    assert flight.epoch(2).header.stamp.sec == 2
+    assert flight.node.counts.total() == 0
 
 
 def test_a_mode_that_there_is_not_is_refused(fly: Callable[..., Flight]) -> None:

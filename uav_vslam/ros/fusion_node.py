@@ -81,7 +81,7 @@ class FusionNode(VehicleNode):
         self._status = self.advertise(FusionStatus, "fusion/status", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
         self.listen(JointInformationMsg, "joint_information", self._on_joint, NEWEST)
-        self.listen(Odometry, "odometry", self._on_odometry, NEWEST)
+        self._own_odometry = self.listen(Odometry, "odometry", self._on_odometry, NEWEST)
         if self._participant is not None:
             self._participant.serve(self)
         peers = [peer for peer in self.own.peers if peer != self.vehicle]  # vehicles may share a list of all
@@ -94,6 +94,7 @@ class FusionNode(VehicleNode):
 
     def _forget_flight(self) -> None:
         """Be as before the first message of a session of the back end."""
+        self._begin_ns: int | None = None  # while odometry is skipped: stamp of the first of the session
         self._joints: dict[int, JointInformation] = {}
         self._waiting: deque[Own] = deque()
         self._first_ns: int | None = None  # stamps of the odometry used
@@ -123,6 +124,7 @@ class FusionNode(VehicleNode):
         if self._session is not None and joint.session > self._session:
             self.get_logger().warning(f"the back end started again: session {joint.session}")
             self.reset()
+            self._begin_ns = joint.stamp_ns
         self._session = max(joint.session, self._session or 0)
         if self._first_ns is not None and joint.stamp_ns < self._first_ns:
             return  # kept for late joiners: of an epoch before this node, or this flight, began
@@ -132,6 +134,9 @@ class FusionNode(VehicleNode):
             self._joints[joint.stamp_ns] = joint
             return
         self._feed(JOINT, joint.stamp_ns, joint)
+        if self._begin_ns is not None:
+            self._own_odometry.take_waiting(self)  # the last frames of the session before may wait still
+            self._begin_ns = None
         if len(self._joints) > MAX_JOINTS:
             last_ns = max(self._joints)  # a wrong stamp must not keep out the ones that are due
             del self._joints[last_ns]
@@ -139,6 +144,9 @@ class FusionNode(VehicleNode):
 
     def _on_odometry(self, message: Odometry) -> None:
         pose = odometry_from_msg(message)
+        if self._begin_ns not in (None, pose.stamp_ns):
+            return
+        self._begin_ns = None
         self._feed(ODOMETRY, pose.stamp_ns, (pose, message.twist))
 
     def _feed(self, name: str, stamp_ns: int, item: JointInformation | Own) -> None:
