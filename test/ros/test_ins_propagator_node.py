@@ -365,6 +365,22 @@ def test_after_a_reset_a_start_state_counts_more_than_what_was_estimated_before(
     assert node._live.estimate.pose.T_map_body.t[0] == pytest.approx(1000.0, abs=1.0)
 
 
+@pytest.mark.parametrize("back_s", [20, 100])
+def test_a_correction_of_before_a_clock_was_set_back_that_comes_late_is_no_start(make: Make, back_s: int) -> None:
+    node, again_ns = make("input.on_time_jump:=reset"), NOW_NS - back_s * NS_PER_S
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 2.0)
+    rest(node, again_ns, 2.0)
+    deliver(node, "slam/correction", start_at(NOW_NS + NS_PER_S))
+    assert node._live is None
+    deliver(node, "initial_state", start_at(again_ns + 2 * NS_PER_S))
+    before = node.counts["increments"]
+    rest(node, again_ns + 2 * NS_PER_S + STEP_NS, 1.0)
+    assert node.counts["increments"] > before + 20
+    deliver(node, "slam/correction", start_at(again_ns + 2 * NS_PER_S + NS_PER_S // 2))
+    assert node._correction is not None
+
+
 def test_an_invalid_start_state_in_flight_is_refused_and_a_jump_goes_on_without_it(make: Make) -> None:
     node = make()
     deliver(node, "initial_state", start_at(NOW_NS))

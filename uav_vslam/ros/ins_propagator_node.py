@@ -62,6 +62,7 @@ class InsPropagatorNode(VehicleNode):
         self._is_reset = False  # by itself: the back end may be in flight
         self._correction: NavigationState | None = None  # the newest
         self._resumed = False  # from a correction of before a reset, which no newer one has confirmed
+        self._starts_again = False  # after a jump of the clock, which ends the back end's session as well
         self._in_batch = False
         self._forget_flight()
         self._increments = self.advertise(InsIncrement, "ins/increment", MOTION)
@@ -107,7 +108,7 @@ class InsPropagatorNode(VehicleNode):
         self._stamps.restart()
         self._sensors.restart()
         self._forget_flight()
-        self._is_reset = True
+        self._is_reset, self._starts_again = True, False
         last = self._correction
         if self.config.start.method == "given" and last is not None and self._is_recent(stamp_ns_of(last)):
             self._on_correction(last)
@@ -183,6 +184,7 @@ class InsPropagatorNode(VehicleNode):
             self._start(found)
 
     def _start(self, initial: NavEstimate) -> None:
+        self._starts_again = False
         self.alarms.pop("start", None)
         is_resumed = self._pending_start.is_resumed(initial.state.stamp_ns)
         early = self._startup_buffer.take(from_first_reading=is_resumed)
@@ -228,6 +230,7 @@ class InsPropagatorNode(VehicleNode):
         first_ns = next((item for _, item in admitted.items if isinstance(item, int)), jump.to_ns)
         before, start = self._live.estimate if self._live is not None else None, self._start_near(first_ns)
         self._forget_flight()
+        self._correction, self._starts_again = None, True
         if start is not None:
             self._pending_start.give(navigation_from_msg(start), start.child_frame_id)
             return f"{jump}; started again from the newest start state"
@@ -293,6 +296,8 @@ class InsPropagatorNode(VehicleNode):
 
     def _on_correction(self, message: NavigationState) -> None:
         corrected = navigation_from_msg(message)
+        if self._starts_again:
+            return  # of the session before
         self._correction, self._resumed = message, False
         self._status.report_lag(corrected.state.stamp_ns)
         if self._live is not None:
