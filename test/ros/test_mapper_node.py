@@ -13,6 +13,7 @@ import yaml
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from lone_node import deliver, lone_node  # noqa: E402
+from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rendered_views import CAMERA, ground, view  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
@@ -25,6 +26,7 @@ from uav_vslam.mapping.flown_map import UNSEEN_GREY  # noqa: E402
 from uav_vslam.mapping.surface.grid import HeightGrid  # noqa: E402
 from uav_vslam.mapping.surface.mapper import SurfaceMapper  # noqa: E402
 from uav_vslam.ros.convert import flat, header, navigation_to_msg, pose_with_covariance_to_msg, transform_to_msg  # noqa: E402
+from uav_vslam.ros.lifecycle import INACTIVE  # noqa: E402
 from uav_vslam.ros.mapper_node import MapperNode  # noqa: E402
 from uav_vslam.ros.qos import LATCHED  # noqa: E402
 from uav_vslam.types import NavEstimate, NavState, PoseEstimate  # noqa: E402
@@ -296,6 +298,22 @@ def test_a_reset_that_can_not_begin_another_map_leaves_the_present_one_in_use(ma
     fly(node, range(VIEWS // 2, VIEWS))
     node.destroy_node()
     assert (tmp_path / "map" / "orthomosaic.png").is_file()
+
+
+def test_a_cleanup_that_can_not_begin_another_map_fails_and_the_node_can_be_activated(
+    make: Make, tmp_path: Path
+) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    calibrate(node)
+    fly(node, range(VIEWS // 2))
+    present = node._map
+    node.trigger_deactivate()
+    with full_disk():
+        assert node.trigger_cleanup() == TransitionCallbackReturn.FAILURE
+    assert node._map is present
+    assert node.paused == INACTIVE
+    node.trigger_activate()
+    assert not node.paused
 
 
 def test_a_full_disk_costs_views_and_not_the_node(make: Make, tmp_path: Path) -> None:

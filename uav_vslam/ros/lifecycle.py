@@ -69,8 +69,12 @@ class PausableNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the flight."""
-        self.reset()
+        """Forget the flight; where that can't be, the node stays as it is."""
+        try:
+            self.reset()
+        except (UavVslamError, OSError) as error:  # rclpy would not log it, and take the node for broken
+            self.get_logger().error(f"not cleaned up: {error}")
+            return TransitionCallbackReturn.FAILURE
         self.paused = UNCONFIGURED
         return TransitionCallbackReturn.SUCCESS
 
