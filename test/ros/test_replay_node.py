@@ -241,6 +241,23 @@ def rewritten(source: Path, out: Path, keep: Callable[[RawMessage], list[bytes]]
     return out
 
 
+def test_one_wrong_stamp_does_not_set_the_clock(fleet: Fleet, bags: list[Path], tmp_path: Path) -> None:
+    """It would stand still until the recording has caught up."""
+    wrong = [raw for raw in iter_raw([bags[0]]) if raw.topic == "/uav1/imu/data_raw"][50]
+
+    def ahead(raw: RawMessage) -> list[bytes]:
+        if raw != wrong:
+            return [raw.data]
+        message = decode(raw)
+        message.header.stamp.sec += 1000
+        return [encode(message)]
+
+    done = fleet.replay([rewritten(bags[0], tmp_path / "ahead", ahead)])
+    assert done.returncode == 0, done.stderr
+    assert len(fleet.vehicles["uav1"].readings) == FRAMES * FRAME_NS // IMU_NS
+    assert max(fleet.clock) == 5
+
+
 def test_what_the_recorder_s_clock_stamped_comes_with_the_inputs_around_it(bags: list[Path], tmp_path: Path) -> None:
     away_ns = 300_000_000 * NS_PER_S
     with RawRecorder(tmp_path / "other_clock") as recorder:

@@ -37,7 +37,7 @@ from uav_vslam.ros.answers import EARLY_ANSWER, IMU_AHEAD, Answers, Readings
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.convert import stamp_from_ns
 from uav_vslam.ros.message_types import type_named
-from uav_vslam.ros.pacing import LockStep, Pacer, RealTime, step_s
+from uav_vslam.ros.pacing import STEP_AHEAD_NS, LockStep, Pacer, RealTime, step_s
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import IMAGE, LATCHED, RESUMABLE, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
@@ -79,6 +79,7 @@ class ReplayNode(Node):
         self._readings = Readings(self._vehicles, self._starts_ns, IMU_AHEAD if self._wait_for else None)
         self._progress_s = self._begin_s = time.monotonic()
         self._clock_ns = -CLOCK_NS
+        self._stamps_ns: dict[str, int] = {}  # of each vehicle's last message
         self._publishers_by_topic = {topic: self._advertise(topic) for topic in self._recording.topics}
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", STATE)
         self._answer_inputs: list[Any] = []
@@ -198,11 +199,18 @@ class ReplayNode(Node):
         return [f"{t} has no subscriber" for t in unread] + [f"{t} has no publisher" for t in unwritten]
 
     def _publish(self, message: Recorded) -> None:
-        if message.kind is not Kind.OTHER and message.stamp_ns - self._clock_ns >= CLOCK_NS:
-            self._clock_ns = message.stamp_ns
-            self._clock_publisher.publish(ClockMsg(clock=stamp_from_ns(message.stamp_ns)))
+        if message.kind is not Kind.OTHER:
+            self._advance_clock(message.vehicle, message.stamp_ns)
         self._publishers_by_topic[message.topic].publish(message.payload)
         self._progress_s = time.monotonic()
+
+    def _advance_clock(self, vehicle: str, stamp_ns: int) -> None:
+        """Publish the time; a jump ahead counts with the second stamp that shows it, for one alone may be wrong."""
+        before_ns = self._stamps_ns.get(vehicle, stamp_ns)
+        self._stamps_ns[vehicle] = stamp_ns
+        if stamp_ns - before_ns <= STEP_AHEAD_NS and stamp_ns - self._clock_ns >= CLOCK_NS:
+            self._clock_ns = stamp_ns
+            self._clock_publisher.publish(ClockMsg(clock=stamp_from_ns(stamp_ns)))
 
     def _check_timeout(self) -> None:
         if self._lockstep and time.monotonic() - self._progress_s > self._config.timeout_s:
