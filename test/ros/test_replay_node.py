@@ -353,7 +353,12 @@ def test_a_truncated_bag_is_replayed_up_to_the_damage_and_fails(fleet: Fleet, ba
 
 @pytest.mark.parametrize(
     ("parameters", "said"),
-    [(["bags:=[nowhere]"], "nowhere"), ([], "bags"), (["bags:=[BAG]", "vehicles:=[ghost]"], "vehicle ghost")],
+    [
+        (["bags:=[nowhere]"], "nowhere"),
+        ([], "bags"),
+        (["bags:=[BAG]", "vehicles:=[ghost]"], "vehicle ghost"),
+        (["bags:=[BAG]", "inputs:=['uav1:topics.left:=[']"], "the value of 'uav1:topics.left:=[' is not YAML"),
+    ],
 )
 def test_an_invalid_recording_is_one_line_and_exit_code_2(
     bags: list[Path], domain_id: int, parameters: list[str], said: str

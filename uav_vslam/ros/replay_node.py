@@ -272,7 +272,10 @@ def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
         vehicle, _, key = name.partition(":")
         if not (vehicle and key and found):
             raise ConfigError(f"inputs: {entry!r} is not of the form VEHICLE:KEY:=VALUE")
-        values.setdefault(vehicle, {})[key] = yaml.safe_load(value)
+        try:
+            values.setdefault(vehicle, {})[key] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ConfigError(f"inputs: the value of {entry!r} is not YAML; close its brackets or quotes") from None
     return {vehicle: build(InputConfig, own, where=f"inputs of {vehicle}") for vehicle, own in values.items()}
 
 
