@@ -41,8 +41,6 @@ class LoadedMap:
         best: tuple[LandmarkPacket, Pairs] | None = None
         self._packets = {row: self._packet(row) for row in self._nearest(own.positions)}
         for packet in self._packets.values():
-            if packet.descriptors.shape[1] != own.descriptors.shape[1]:
-                continue
             pairs = frame.find_common(own, packet)
             if len(pairs) > (0 if best is None else len(best[1])):
                 best = packet, pairs
