@@ -93,7 +93,7 @@ class FusionNode(VehicleNode):
         self._exchange.configure(self.config.fusion)
 
     def _forget_flight(self) -> None:
-        """Be as before the first message of a session of the back end."""
+        """Forget what belongs to one session of the back end."""
         self._begin_ns: int | None = None  # while odometry is skipped: stamp of the first of the session
         self._joints: dict[int, JointInformation] = {}
         self._waiting: deque[Own] = deque()

@@ -90,7 +90,7 @@ class InsPropagatorNode(VehicleNode):
         return [(kind, name, IMAGE, topics.left) for kind, name in image_topics(self, topics.left).items()]
 
     def _forget_flight(self) -> None:
-        """Be as before the first message; where the start is searched for, increments are needed before it."""
+        """Start from the state before the first message; a search for the start state needs increments already."""
         self._preintegrator = ImuPreintegrator(self.config.imu) if self.config.start.searches else None
         self._reckoner = DeadReckoning(self.config.imu)
         self._outliers = OutlierFilter()
