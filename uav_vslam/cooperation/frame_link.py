@@ -29,13 +29,11 @@ class FrameLink:
     Attributes:
         alignment: the latest; None while there is none.
         reason: why there is none, or why the last packet could not update it; empty if it did.
-        found: how often an unknown frame was found.
     """
 
     def __init__(self) -> None:
         self.alignment: Alignment | None = None
         self.reason = "no packet yet"
-        self.found = 0
         self._session: int | None = None
         self._newest = (0, 0)  # stamp and sequence of the newest packet
         self._received: ReceivedMap | None = None
@@ -79,7 +77,6 @@ class FrameLink:
         if len(rows) >= min_common:
             self._misfits = 0
         if isinstance(found, Alignment):
-            self.found += self.alignment is None
             self.alignment, self.reason = found, ""
         return rows if len(rows) >= min_common else nothing
 
