@@ -209,10 +209,10 @@ class InsPropagatorNode(VehicleNode):
         admitted = self._stamps.add(name, stamp_ns, item)
         happened = self._follow(admitted.jump, admitted) if admitted.jump is not None else ""
         self.report_clock(self._stamps, happened)
-        for _, each in admitted.items:
-            for item in self._plausible(each) if isinstance(each, ImuSample) else [each]:
+        for _, due in admitted.items:
+            for one in self._plausible(due) if isinstance(due, ImuSample) else [due]:
                 try:
-                    self._process(item)
+                    self._process(one)
                 except InvalidMessage as error:
                     self.drop(error.reason, f"{name}: {error}")
 
