@@ -112,6 +112,20 @@ def test_a_blurred_view_gives_way_to_sharp_ones() -> None:
     assert picture.seen.any()  # better than none
 
 
+@pytest.mark.parametrize("level", [0, 255])
+def test_what_is_clipped_in_the_best_view_comes_from_another(level: int) -> None:
+    best, other = (PLAIN.view((x, 0.0, 30.0)) for x in (0.0, 8.0))
+    image = best.image.copy()
+    image[60:180] = level
+    mosaic = Orthomosaic(PLAIN, M_PER_PX)
+    for view in (replace(best, image=image), other):
+        mosaic.add(view)
+    picture = mosaic.picture()
+    x, y = np.meshgrid(picture.raster.x, picture.raster.y)
+    assert (picture.labels[(np.abs(x) < 3.0) & (np.abs(y) < 4.0)] == 1).all()
+    assert (picture.labels[(np.abs(x + 11.0) < 3.0) & (np.abs(y) < 4.0)] == 0).all()  # better than none
+
+
 def test_a_frame_touches_as_many_tiles_over_a_large_map_as_over_a_small_one(tmp_path: Path) -> None:
     mosaic = Orthomosaic(PLAIN, M_PER_PX, folder=tmp_path, kept_bytes=20 * Tile.empty(1).nbytes)
     step_m = SIDE * M_PER_PX  # so that each view lies on the tiles alike

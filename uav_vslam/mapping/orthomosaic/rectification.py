@@ -20,6 +20,8 @@ HALF_SCORE_TANGENT = 0.4  # of the angle from the vertical at which a spot count
 BORDER_SHARE = 0.06  # of the image, in which the score rises from its edge
 LEAST_SCORE = 0.01  # of what is seen at all
 OVERSAMPLING = 1.25  # pixels of the image, made smaller first, to one of the mosaic
+BLACK, WHITE = 2.0, 250.0  # grey levels of the brightest channel beyond which an image is clipped
+CLIPPED_PX = 33  # side of the surroundings whose clipped share counts, so that single pixels do not change the view
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +68,16 @@ def rectify(
     score *= np.float32(min(1.0, m_per_px / ground_m_per_px))  # from higher up, or smaller: coarser than the mosaic
     del depth, tangent2, heights  # each is as large as a channel of the image
     image = _drawn(view.image, u, v, ground_m_per_px * OVERSAMPLING / m_per_px)
+    score *= np.maximum(1.0 - _clipped_share(image), np.float32(LEAST_SCORE))
     radius2 = ((u - view.camera.cx) / view.camera.fx) ** 2 + ((v - view.camera.cy) / view.camera.fy) ** 2
     return Rectified(raster, image, score, np.nan_to_num(radius2.astype(np.float32)))
+
+
+def _clipped_share(image: Real) -> Real:
+    """Return the (rows, columns) share of the surroundings that are over- or underexposed, and show no detail."""
+    brightest = image.max(axis=-1)
+    clipped = ((brightest >= WHITE) | (brightest <= BLACK)).astype(np.float32)
+    return np.asarray(cv2.blur(clipped, (CLIPPED_PX, CLIPPED_PX)))
 
 
 def sharpness_of(image: Image) -> float:
