@@ -31,7 +31,7 @@ def matched(flown: PictureFlight, folder: Path, *, left_out: Sequence[int] = ())
     kept = [k for k in range(len(flown.poses)) if k not in left_out]
     flown = replace(flown, poses=tuple(flown.poses[k] for k in kept))
     pictures = read_folder(write(render(flown), flown.names(), folder)).pictures
-    features = [detect(picture) for picture in pictures]
+    features = [detect(picture.read()) for picture in pictures]
     unknown = np.full((len(pictures), 2), np.nan)
     sides = [max(picture.width, picture.height) for picture in pictures]
     return pictures, features, match_all(features, sides, candidates(features, unknown))

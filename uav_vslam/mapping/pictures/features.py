@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIFT points of downscaled pictures, spread over each."""
+"""SIFT points of downscaled pictures, spread over each, and the levels of 16-bit ones."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from uav_vslam.config import FrontendConfig
 from uav_vslam.errors import InvalidMessage, PictureError
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.mapping.pictures.picture import Picture
+from uav_vslam.mapping.pictures.raw_values import RawValues
 from uav_vslam.vision.features.sift import SiftExtractor
 from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
 
@@ -45,28 +46,30 @@ class Detected:
 
 
 def detect_all(pictures: Sequence[Picture], *, on_picture: Callable[[], None]) -> Detected:
-    """Return the points of all pictures that can be decoded."""
+    """Return the points of all pictures that can be decoded; 16-bit ones of one camera get the same levels."""
     found = Detected([], [], [])
+    values = RawValues()
     for picture in pictures:
         try:
-            features = detect(picture)
+            stored = picture.stored()
+            features = detect(stored)
         except (PictureError, InvalidMessage):
             found.undecoded.append(picture.name)
         else:
+            values.add(picture.camera, stored)
             found.pictures.append(picture)
             found.features.append(features)
         on_picture()
+    found.pictures[:] = [replace(picture, levels=values.levels(picture.camera)) for picture in found.pictures]
     return found
 
 
-def detect(picture: Picture) -> PictureFeatures:
-    """Return the points of a picture.
+def detect(image: NDArray[np.generic]) -> PictureFeatures:
+    """Return the points of a grey or BGR image.
 
     Raises:
-        PictureError: it can't be read.
         InvalidMessage: its pixels are of a kind that is not supported.
     """
-    image = picture.read()
     small = shrink(image, min(1.0, LONGEST_SIDE_PX / max(image.shape)))
     extractor = SiftExtractor(FrontendConfig(max_features=CANDIDATES, contrast_threshold=CONTRAST))
     found = extractor.detect(to_grey8(small))

@@ -44,6 +44,7 @@ class Picture:
         focal_px: focal length by the metadata [px]; None if unknown.
         time_s: seconds since 1970 by the camera's clock, whatever its time zone; None if unknown.
         position: recorded by the camera's GPS; None if unknown.
+        levels: values of a 16-bit image that become black and white; None stretches each image by its own range.
     """
 
     path: Path
@@ -54,6 +55,7 @@ class Picture:
     focal_px: float | None
     time_s: float | None
     position: Geodetic | None
+    levels: tuple[float, float] | None = None
 
     @property
     def name(self) -> str:
@@ -67,14 +69,32 @@ class Picture:
 
         Raises:
             PictureError: the file is damaged or has another size than before.
+            InvalidMessage: its pixels are of a kind that is not supported.
+        """
+        stored = self.stored()
+        if self.levels is not None and stored.dtype == np.uint16:
+            stored = _in_8_bits(stored, *self.levels)
+        return np.ascontiguousarray(to_bgr8(stored))
+
+    def stored(self) -> NDArray[np.generic]:
+        """Return the image as `read` does, but in grey or BGR and with 8 or 16 bits as in the file.
+
+        Raises:
+            PictureError: the file is damaged or has another size than before.
         """
         stored = _decoded(self.path)
         if stored is None:
             raise PictureError(f"{self.path} can't be decoded; is it damaged? Remove it from the folder")
-        image = to_bgr8(np.rot90(stored) if self.turned else stored)
+        image = np.rot90(stored) if self.turned else stored
         if image.shape[:2] != (self.height, self.width):
             raise PictureError(f"{self.path} is {image.shape[1]}x{image.shape[0]}, not {self.width}x{self.height} px")
         return np.ascontiguousarray(image)
+
+
+def _in_8_bits(image: NDArray[np.generic], black: float, white: float) -> Image:
+    """Return an image whose black and white levels have become 0 and 255."""
+    stretched = (image.astype(np.float32) - np.float32(black)) * np.float32(255.0 / (white - black))
+    return np.asarray(np.clip(np.rint(stretched), 0, 255), np.uint8)
 
 
 def _decoded(path: Path) -> NDArray[np.generic] | None:
