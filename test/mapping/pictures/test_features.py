@@ -5,9 +5,33 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from picture_folder import flight, render
 
-from uav_vslam.mapping.pictures.features import detect_all
+from uav_vslam.mapping.pictures.features import detect, detect_all
+from uav_vslam.mapping.pictures.pairs import match_pair
 from uav_vslam.mapping.pictures.reading import read_folder
+
+
+@pytest.mark.parametrize(("quality", "grey_levels"), [(None, 3.0), (80, 4.0)], ids=["png", "jpeg"])
+def test_pictures_of_little_contrast_are_matched_where_they_overlap(quality: int | None, grey_levels: float) -> None:
+    flown = flight(1, 3, along_m=25.0)  # the first and the last share an eighth
+    images = [hazy(image, grey_levels, quality) for image in render(flown)]
+    features = [detect(image) for image in images]
+    sides = (flown.camera.width, flown.camera.width)
+    for k in (0, 1):
+        matched = match_pair(features[k], features[k + 1], sides)
+        assert matched is not None
+        assert np.hypot(*matched[1][0]) == pytest.approx(1.0, abs=0.1)  # they were flown at one height
+
+
+def hazy(image: NDArray[np.uint8], rms: float, quality: int | None) -> NDArray[np.uint8]:
+    """Return an image whose contrast is so many grey levels, after JPEG of a quality or None."""
+    values = image.astype(float)
+    pale = np.clip(np.rint(150.0 + rms * (values - values.mean()) / values.std()), 0, 255).astype(np.uint8)
+    if quality is None:
+        return pale
+    _, file = cv2.imencode(".jpg", pale, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(file, cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
 def read_together(values: list[NDArray[np.floating]], folder: Path) -> list[NDArray[np.uint8]]:

@@ -12,6 +12,7 @@ from uav_vslam.errors import InvalidMessage, PictureError
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.raw_values import RawValues
+from uav_vslam.vision.features.base import Keypoints
 from uav_vslam.vision.features.sift import SiftExtractor
 from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
 
@@ -20,7 +21,8 @@ Array = NDArray[np.float64]
 LONGEST_SIDE_PX = 1600  # of the image that is searched
 MOST_POINTS = 3000
 CANDIDATES = 8000  # strongest points, among which those kept are chosen for their spread
-CONTRAST = 0.015  # grass and fields have little
+CONTRASTS = 0.015, 0.003  # least of a point; the second where there are too few: smooth fields, haze, long shadows
+PX_PER_POINT = 100  # a small picture holds no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +73,18 @@ def detect(image: NDArray[np.generic]) -> PictureFeatures:
         InvalidMessage: its pixels are of a kind that is not supported.
     """
     small = shrink(image, min(1.0, LONGEST_SIDE_PX / max(image.shape)))
-    extractor = SiftExtractor(FrontendConfig(max_features=CANDIDATES, contrast_threshold=CONTRAST))
-    found = extractor.detect(to_grey8(small))
+    found = _strongest(to_grey8(small))
     rows = np.sort(spread(found.pixels, MOST_POINTS, size=(small.shape[1], small.shape[0])))
     pixels = to_full_resolution(found.pixels[rows], small.shape[:2], image.shape[:2])
     return PictureFeatures(pixels, found.descriptors[rows])
+
+
+def _strongest(grey: NDArray[np.uint8]) -> Keypoints:
+    """Return the strongest points of an image, enough of them wherever its contrast allows."""
+    enough = min(MOST_POINTS, grey.size // PX_PER_POINT)
+    for contrast in CONTRASTS:
+        extractor = SiftExtractor(FrontendConfig(max_features=CANDIDATES, contrast_threshold=contrast))
+        found = extractor.detect(grey)
+        if len(found.pixels) >= enough:
+            break
+    return found
