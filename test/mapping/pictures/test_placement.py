@@ -151,6 +151,17 @@ def test_positions_in_a_wrong_order_give_no_scale(flown: tuple[Array, Adjusted],
     assert height == pytest.approx(height_m or HEIGHT_WITHOUT_SCALE, rel=0.02)
 
 
+def test_latitude_and_longitude_exchanged_are_not_believed(flown: tuple[Array, Adjusted]) -> None:
+    pictures = [
+        replace(picture, position=Geodetic(position.longitude_deg, position.latitude_deg, position.height_m))
+        for picture in pictures_at(gps(flown[0]), Datum(48.2, 16.4, 300.0))
+        if (position := picture.position)
+    ]
+    _, placement = place(flown[1], pictures, height_m=None, focal_known=True)
+    assert placement.unrelated
+    assert placement.scale == "none"
+
+
 def slope_errors(adjusted: Adjusted, positions: Array, heights_m: Array) -> tuple[Array, Placement]:
     """Return errors of the centres' heights [m], up to a common one, with GPS at these positions; and the placement."""
     result, placement = place(adjusted, pictures_at(positions), height_m=None, focal_known=True)

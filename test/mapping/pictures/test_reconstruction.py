@@ -150,6 +150,7 @@ def test_pictures_of_different_places_are_an_error(hilly: Matched) -> None:
 def test_positions_of_other_pictures_are_told() -> None:
     first, second = _about_gps([], Placement("none", None, None, False, (), unrelated=True))
     assert "as if its positions were those of others" in first
+    assert "latitude and longitude not exchanged?" in first
     assert second.startswith("no GPS positions that agree, so the scale is arbitrary")
 
 

@@ -117,7 +117,7 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
     if placement.unrelated:
         yield (
             "GPS contradicts the pictures as if its positions were those of others, and is not used; "
-            "are they in the right order?"
+            "are they in the right order, and latitude and longitude not exchanged?"
         )
     if placement.scale == "none":
         missing = "no GPS positions that agree" if placement.unrelated else "no GPS positions"
