@@ -34,6 +34,10 @@ def test_tum_has_seconds_and_the_real_part_last(file):
     assert read.quaternions_wxyz.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 2
 
 
+def test_commas_of_an_indented_comment_separate_no_columns(file):
+    assert len(read_trajectory(file(f"  # from the lab, second flight\n{TUM}"))) == 2
+
+
 def test_euroc_has_nanoseconds_and_the_real_part_first(file):
     read = read_trajectory(file(EUROC))
     assert read.stamps_ns.tolist() == [1403715273262142976, 1403715273312143104]

@@ -29,6 +29,12 @@ def test_tum_pads_the_nanoseconds(truth, tmp_path):
     assert [line.split()[0] for line in lines] == ["3.000000007", "4.050000000"]
 
 
+def test_stamps_before_zero_are_read_back(estimate, tmp_path):
+    few = dataclasses.replace(estimate.select(np.arange(3)), stamps_ns=np.array([-1_500_000_000, -1, 7]))
+    assert_equal(read_trajectory(write_tum(few, tmp_path / "a.tum")), few)
+    assert_equal(read_trajectory(write_kitti(few, tmp_path / "a.txt")), few)
+
+
 def test_evo_reads_our_tum(truth, tmp_path):
     read = evo_files.read_tum_trajectory_file(str(write_tum(truth, tmp_path / "truth.tum")))
     np.testing.assert_allclose(read.positions_xyz, truth.positions, atol=1e-9)

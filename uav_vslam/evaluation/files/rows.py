@@ -103,7 +103,7 @@ def read_rows(path: Path) -> Rows:
     lines: list[int] = []
     cells: list[list[str]] = []
     text = _text(path)
-    commas = any("," in line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    commas = any("," in line for line in text.splitlines() if not line.lstrip().startswith("#"))
     for number, row, is_comment in _split(text, commas=commas):
         if not cells and (is_comment or (not np.isfinite(_number(row[0])) and not _like_number(row[0]))):
             header = row

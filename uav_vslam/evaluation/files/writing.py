@@ -3,15 +3,17 @@
 
 import json
 from collections.abc import Iterable
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uav_vslam.evaluation.files.kitti_axes import to_kitti
-from uav_vslam.evaluation.files.reading import UPPER
+from uav_vslam.evaluation.files.reading import UPPER, times_beside
 from uav_vslam.evaluation.files.whole import whole
 from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.types import NS_PER_S
 
 POSE_TITLES = ("#stamp_ns", "x_m", "y_m", "z_m", "q_w", "q_x", "q_y", "q_z")
 ERROR_PARTS = ("x", "y", "z", "rx", "ry", "rz")  # of a covariance: position, map-frame rotation vector
@@ -42,9 +44,7 @@ def write_kitti(trajectory: Trajectory, path: Path) -> Path:
     """Write the 12 numbers of each pose in KITTI's axes, and the stamps [s] into `<name>_times.txt` beside it."""
     positions, rotations = to_kitti(trajectory.positions, trajectory.rotations)
     T = np.concatenate([rotations, positions[:, :, None]], axis=2).reshape(-1, 12)
-    _write(
-        path.with_name(f"{path.stem}_times.txt"), (f"{_seconds(stamp)}\n" for stamp in trajectory.stamps_ns.tolist())
-    )
+    _write(times_beside(path), (f"{_seconds(stamp)}\n" for stamp in trajectory.stamps_ns.tolist()))
     return _write(path, (" ".join(f"{value:.12e}" for value in row) + "\n" for row in T.tolist()))
 
 
@@ -66,7 +66,7 @@ def _write(path: Path, lines: Iterable[str]) -> Path:
 
 
 def _seconds(stamp_ns: int) -> str:
-    return f"{stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d}"
+    return f"{Decimal(stamp_ns) / NS_PER_S:.9f}"
 
 
 def _decimals(values: Iterable[float], digits: int) -> str:
