@@ -212,6 +212,11 @@ WRONG: dict[str, tuple[Any, str]] = {
     ),
     "no rotation": ({"cam0": kalibr_camera(LEFT) | {"T_cam_imu": np.diag([1, 1.02, 1, 1]).tolist()}}, "no rotation"),
     "place that is none": ({"cam0": kalibr_camera(LEFT) | {"T_cam_imu": np.eye(4)[:2].tolist()}}, "no rotation"),
+    "coefficients without data": (
+        {"camera_matrix": {"data": [1.0] * 9}, "image_width": 9, "image_height": 9, "distortion_coefficients": [0.0]},
+        "malformed",
+    ),
+    "number for a key": ({"cam0": kalibr_camera(LEFT), 1: kalibr_camera(RIGHT)}, "malformed"),
     "no clock": ({"cam0": kalibr_camera(LEFT) | {"timeshift_cam_imu": math.nan}}, "timeshift_cam_imu is nan"),
     "three cameras": ({f"cam{k}": kalibr_camera(LEFT) for k in range(3)}, "3 cameras"),
 }
