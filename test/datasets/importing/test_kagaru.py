@@ -320,6 +320,18 @@ def test_positions_that_are_none_are_left_out_and_named(flight: Flight, tmp_path
     assert f"{path}:3: there is no latitude 152.9, longitude -27.8; check the order of position" in problems.lines
 
 
+def test_longitudes_counted_from_0_to_360_are_those_west_of_greenwich(tmp_path: Path) -> None:
+    found = []
+    log = LogSettings(file="log.txt", position=("2", "3", "4"), attitude=("5", "6", "7"))
+    for longitude in (254.75, -105.25):
+        (tmp_path / "log.txt").write_text(f"0 40 {longitude} 1600 0 0 0\n1 40 {longitude + 1e-3} 1600 0 0 0\n")
+        motion, origin = read_motion(tmp_path, log, (), Problems())
+        assert motion is not None
+        found.append((motion.table.values, origin))
+    assert found[0][1] == found[1][1] == Datum(40.0, -105.25, 1600.0)
+    np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-6)
+
+
 @pytest.mark.parametrize("pattern", ["{folder}/front/*.pgm", "front/**/img*.pgm"])
 def test_patterns_may_be_absolute_and_reach_into_folders(
     pattern: str, flight: Flight, folder: Path, tmp_path: Path

@@ -17,7 +17,7 @@ from uav_vslam.datasets.importing.motion import Motion, motion_of_poses
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import Table, require_rate_of_an_imu, require_unit
 from uav_vslam.errors import ConfigError
-from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic
+from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic, within_180
 from uav_vslam.geometry.rotation import (
     quaternion_wxyz_from_rotation,
     rotation_from_quaternion_wxyz,
@@ -81,7 +81,8 @@ def read_motion(
     R_enu_body = R_enu_given @ _rotations(attitude, log) @ rotation_to_flu(log.body_axes).T
     origin = None
     if log.position_kind == "geodetic":
-        origin = Datum(*(datum or position[0].tolist()))
+        latitude, longitude, altitude = datum or position[0].tolist()
+        origin = Datum(latitude, float(within_180(longitude)), altitude)
         position_enu = from_geodetic(position[:, [1, 0, 2]], origin)
     else:
         position_enu = position @ R_enu_given.T

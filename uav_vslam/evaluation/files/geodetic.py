@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from uav_vslam.errors import ConfigError
 from uav_vslam.geometry.rotation import rotation_from_rpy
@@ -53,6 +53,12 @@ def from_geodetic(points: Array, datum: Datum) -> Array:
     longitude, latitude, altitude = points.T
     east_north_up = _to_wgs84(datum).transform(longitude, latitude, altitude, direction="INVERSE")
     return np.asarray(np.stack(east_north_up, axis=1) @ _R_enu_map(datum))
+
+
+def within_180(degrees: ArrayLike) -> Array:
+    """Return angles in [-180, 180) degrees; those that are there already stay as they are."""
+    degrees = np.asarray(degrees, dtype=float)
+    return np.where(np.abs(degrees) < 180.0, degrees, (degrees + 180.0) % 360.0 - 180.0)
 
 
 def _R_enu_map(datum: Datum) -> Array:

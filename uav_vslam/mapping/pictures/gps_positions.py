@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic
+from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic, within_180
 from uav_vslam.mapping.pictures.picture import Picture
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ def local_positions(pictures: Sequence[Picture]) -> tuple[Array, Datum | None]:
     if not known:
         return positions, None
     longitude, latitude, height = np.median(_unwrapped(np.array(geodetic)), axis=0)
-    datum = Datum(float(latitude), float(_within_180(longitude)), float(height))
+    datum = Datum(float(latitude), float(within_180(longitude)), float(height))
     positions[known] = from_geodetic(np.array(geodetic), datum)
     return positions, datum
 
@@ -28,13 +28,8 @@ def local_positions(pictures: Sequence[Picture]) -> tuple[Array, Datum | None]:
 def _unwrapped(geodetic: Array) -> Array:
     """Return (N, 3) longitude, latitude, height with longitudes near the first: they jump at the antimeridian."""
     unwrapped = geodetic.copy()
-    unwrapped[:, 0] = geodetic[0, 0] + _within_180(geodetic[:, 0] - geodetic[0, 0])
+    unwrapped[:, 0] = geodetic[0, 0] + within_180(geodetic[:, 0] - geodetic[0, 0])
     return unwrapped
-
-
-def _within_180(degrees: Array) -> Array:
-    """Return angles in [-180, 180) degrees; those that are there already stay as they are."""
-    return np.where(np.abs(degrees) < 180.0, degrees, (degrees + 180.0) % 360.0 - 180.0)
 
 
 def without_repeats(positions: Array) -> Array:
