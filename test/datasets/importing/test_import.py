@@ -12,7 +12,7 @@ from uav_vslam.cli.main import main
 from uav_vslam.config import find_config, load_vehicle
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.importing.euroc import read_euroc
-from uav_vslam.datasets.importing.motion import motion_of_poses
+from uav_vslam.datasets.importing.motion import InitialSigma, motion_of_poses
 from uav_vslam.datasets.importing.pictures import Picture, frames, paired, shifted
 from uav_vslam.datasets.importing.problems import SHOWN, Problems
 from uav_vslam.datasets.importing.tables import read_table
@@ -399,6 +399,14 @@ def test_a_finished_import_and_other_peoples_folders_are_not_overwritten(
     (tmp_path / "new.partial" / "thesis.txt").write_text("years of work")
     assert main(["import", "euroc", str(mav0), str(tmp_path / "new")]) == 2
     assert (tmp_path / "new.partial" / "thesis.txt").exists()
+
+
+def test_a_start_on_a_row_of_the_ground_truth_may_follow_a_gap() -> None:
+    stamps = np.array([0, 1_000_000_000, 1_010_000_000])
+    motion = motion_of_poses(stamps, np.eye(3), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)), source=Path("poses"))
+    np.testing.assert_array_equal(motion.start(1_000_000_000, InitialSigma()).state.T_map_body.t, [0.0, 1.0, 0.0])
+    with pytest.raises(BagError, match="gap at the first image"):
+        motion.start(999_999_999, InitialSigma())
 
 
 def test_a_gap_of_the_ground_truth_at_the_start_is_refused(mav0: Path) -> None:

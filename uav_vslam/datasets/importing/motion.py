@@ -85,7 +85,7 @@ class Motion:
             BagError: the rows around it are too far apart.
         """
         after = min(int(np.searchsorted(self.stamps_ns, stamp_ns)), len(self.table) - 1)
-        before = max(after - 1, 0)
+        before = max(int(np.searchsorted(self.stamps_ns, stamp_ns, side="right")) - 1, 0)
         if self.stamps_ns[after] - self.stamps_ns[before] > self.gap_ns:
             raise BagError(
                 f"{self.source}: ground truth has a gap at the first image ({stamp_ns} ns); cut the sequence later"
