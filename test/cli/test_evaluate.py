@@ -247,9 +247,10 @@ def test_unusable_poses_of_the_ground_truth_are_left_out_with_a_warning(pair, tm
                 built.pose.pose.position.x = float("nan")
             if k == 30:
                 built.pose.pose.orientation.w = built.pose.pose.orientation.z = 0.0
-            bag.write(TRUTH, "nav_msgs/msg/Odometry", encode(built), stamp_ns)
+            data = encode(built)
+            bag.write(TRUTH, "nav_msgs/msg/Odometry", data[:40] if k == 40 else data, stamp_ns)
     assert run(estimates_of_one(pair, tmp_path), tmp_path / "truth", *quiet(tmp_path)) == 0
-    assert "uav1: 2 poses of the ground truth are not finite" in capsys.readouterr().err
+    assert "uav1: 3 poses of the ground truth are not finite" in capsys.readouterr().err
     assert summary_of(tmp_path)["vehicles"]["uav1"]["s_slam"]["ate_m"] == pytest.approx(1.0)
 
 

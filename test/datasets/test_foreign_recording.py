@@ -210,3 +210,12 @@ def test_the_distance_of_the_stamps_is_that_to_the_nearest_partner(tiny_bag: Pat
         np.testing.assert_array_equal(flight.stamps_apart_ns(), np.full(6, apart))
     empty = open_flight(rewritten(tiny_bag, tmp_path / "same"), "uav1")
     np.testing.assert_array_equal(empty.stamps_apart_ns(2), np.zeros(2))
+
+
+def test_the_distance_of_the_stamps_does_not_depend_on_the_order_of_recording(tiny_bag: Path, tmp_path: Path) -> None:
+    def last_first(raw: RawMessage) -> RawMessage:
+        late = raw.topic == "/uav1/right/image_raw"
+        return dataclasses.replace(raw, stamp_ns=4 * 10**18 - raw.stamp_ns) if late else raw
+
+    flight = open_flight(rewritten(tiny_bag, tmp_path / "reversed", last_first), "uav1")
+    np.testing.assert_array_equal(flight.stamps_apart_ns(), np.zeros(6))

@@ -100,6 +100,7 @@ class BagFlight:
         left, right = (self._stamps_ns(topic, first) for topic in (self.left_topic, self.right_topic))
         if len(right) == 0:
             return np.zeros(0, np.int64)
+        right = np.sort(right)  # messages may be recorded out of order
         return np.asarray(abs(right[nearest(left, right)] - left))
 
     def pair_tolerance_ns(self, first: int) -> int:

@@ -104,8 +104,8 @@ def read_outputs(
         damage.
 
     Raises:
-        BagError: a path is missing or not a bag, a message can't be decoded, no bag has an own-only track, or they hold
-            several passes of one recording.
+        BagError: a path is missing or not a bag, an estimate can't be decoded, no bag has an own-only track, or they
+            hold several passes of one recording.
     """
     topics = topics_of(paths)
     names = _vehicles(topics)
@@ -185,7 +185,7 @@ def _store_truth(outputs: RecordedOutputs, raw: RawMessage) -> bool:
     """Add a true pose, unless it can't be used; return whether it can."""
     try:
         outputs.truth.append(_pose_estimate(decode(raw)))
-    except InvalidMessage:
+    except (BagError, InvalidMessage):
         return False
     return True
 
