@@ -287,3 +287,14 @@ def test_a_recording_without_truth_is_refused(source: Path, tmp_path: Path) -> N
     flight = open_flight(rewritten(source, tmp_path / "bag", without("/uav1/ground_truth/odometry")), "uav1")
     with pytest.raises(BagError, match="ground_truth"):
         poses_of(flight)
+
+
+def test_positions_alone_are_nothing_to_cut_along(source: Path, tmp_path: Path) -> None:
+    def position_alone(truth: Any) -> Any:
+        q = truth.pose.pose.orientation
+        q.w, q.x, q.y, q.z = 1.0, 0.0, 0.0, 0.0
+        return truth
+
+    gnss = rewritten(source, tmp_path / "gnss", edited("/uav1/ground_truth/odometry", position_alone))
+    with pytest.raises(UavVslamError, match=r"one orientation throughout.*--trajectory"):
+        planned(open_flight(gnss, "uav1"))

@@ -19,6 +19,7 @@ from uav_vslam.datasets.seen_points import seen_flight
 from uav_vslam.datasets.starts import drawn_start, true_start
 from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.errors import BagError, UavVslamError
+from uav_vslam.evaluation.attitude import never_turns
 from uav_vslam.evaluation.legs import Leg, Meeting, choose_legs, legs_by_hand, meeting_of
 from uav_vslam.evaluation.overlap import overlap_of
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -128,8 +129,13 @@ def plan_cut(
         on_frame: called for each image pair.
 
     Raises:
-        UavVslamError: there are no such legs, or a leg has fewer than two frames.
+        UavVslamError: the poses have no attitude, there are no such legs, or a leg has fewer than two frames.
     """
+    if never_turns(poses):
+        raise UavVslamError(
+            "the poses along which to cut have one orientation throughout, as positions alone have, so no leg's start "
+            "is known; `uav-vslam cut --trajectory` takes poses with the body's orientation, such as an estimate"
+        )
     seen = seen_flight(flight, poses, config, on_frame)
     overlap = overlap_of(seen.views, flight.rig.left)
     stamps_ns = np.array(seen.stamps_ns, np.int64)

@@ -13,9 +13,12 @@ LEAST_TURN_RAD = math.radians(10.0)  # of an estimate: more than its errors
 
 def lacks_attitude(truth: Trajectory, estimate: Trajectory) -> bool:
     """Return whether ground truth has one orientation throughout, though the estimate turns."""
-    if len(truth) < 3 or np.ptp(truth.quaternions_wxyz, axis=0).max() > SAME:
-        return False
-    return largest_turn_rad(estimate) > LEAST_TURN_RAD
+    return never_turns(truth) and largest_turn_rad(estimate) > LEAST_TURN_RAD
+
+
+def never_turns(trajectory: Trajectory) -> bool:
+    """Return whether three or more poses have one orientation, as no vehicle keeps it."""
+    return len(trajectory) >= 3 and bool(np.ptp(trajectory.quaternions_wxyz, axis=0).max() <= SAME)
 
 
 def largest_turn_rad(trajectory: Trajectory) -> float:
