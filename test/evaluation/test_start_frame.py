@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
+
 import numpy as np
 
 from uav_vslam.evaluation.start_frame import in_start_frame
@@ -35,6 +37,16 @@ def test_a_start_between_two_truths_is_interpolated() -> None:
     moved = in_start_frame(circling(), 7 * STEP_NS + STEP_NS // 2)
     assert moved is not None
     np.testing.assert_allclose(moved.positions[7] + moved.positions[8], np.zeros(3), atol=1e-12)
+
+
+def test_positions_alone_are_turned_to_the_estimate() -> None:
+    truth = circling()
+    flown = in_start_frame(truth, 0)
+    assert flown is not None
+    identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(truth), 1))
+    moved = in_start_frame(dataclasses.replace(truth, quaternions_wxyz=identity), 0, estimate=flown)
+    assert moved is not None
+    np.testing.assert_allclose(moved.positions, flown.positions, atol=1e-9)
 
 
 def test_without_ground_truth_at_the_start_there_is_no_reference() -> None:

@@ -82,14 +82,15 @@ def _vehicle_result(
     alone: bool,
 ) -> VehicleResult:
     own = track.poses
+    s_slam = Trajectory.from_estimates(own)
     sender = None if alone else member  # packets that nobody can receive are no traffic
     if truth is not None and own and config.start.defines_map:
-        truth = in_start_frame(truth, own[0].stamp_ns)
+        truth = in_start_frame(truth, own[0].stamp_ns, estimate=s_slam)
     return VehicleResult(
         name=track.vehicle,
         truth=truth,
         ins=Trajectory.from_estimates([output.dead_reckoning.pose for output in track.outputs]),
-        s_slam=Trajectory.from_estimates(own),
+        s_slam=s_slam,
         c_slam=Trajectory.from_estimates(member.poses) if member else None,
         smoothed=Trajectory.from_estimates(track.smoothed) if track.smoothed else None,
         frames_in=track.frames_in,
