@@ -11,6 +11,7 @@ import pytest
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import ImuConfig, InputConfig, VehicleConfig, load_fleet
+from uav_vslam.config.vehicle import OutputFramesConfig
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cdr import decode
@@ -239,11 +240,13 @@ def test_drawn_starts_err_as_their_covariance_says_and_repeat(source: Path) -> N
 
 def test_the_fleet_file_names_the_vehicles_and_keeps_the_settings(source: Path, tmp_path: Path) -> None:
     flight = open_flight(source, "uav1")
-    config = VehicleConfig(imu=ImuConfig(gravity=9.7), input=InputConfig(topics=FOREIGN, pair_tolerance_s=0.004))
-    write_cut(tmp_path / "cut", flight, planned(flight).vehicles, config)
+    config = VehicleConfig(imu=ImuConfig(gravity=9.7), input=InputConfig(pair_tolerance_s=0.004))
+    recorded = InputConfig(topics=FOREIGN, pair_tolerance_s=0.004)
+    own = dataclasses.replace(config, input=recorded, frames=OutputFramesConfig(map="map", odom="odom"))
+    write_cut(tmp_path / "cut", flight, planned(flight).vehicles, own)
     fleet = load_fleet(tmp_path / "cut" / FLEET_FILE)
     assert list(fleet.vehicles) == ["uav1", "uav2"]
-    assert fleet.vehicles["uav2"] == dataclasses.replace(config, input=InputConfig(pair_tolerance_s=0.004))
+    assert fleet.vehicles["uav2"] == config
     assert open_flight(fleet.replay.bags, "uav2").frame_count == FRAMES[1]
 
 

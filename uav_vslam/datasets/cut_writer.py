@@ -182,9 +182,12 @@ def _truth(vehicle: CutVehicle, truth: TruthTrack) -> Iterator[Message]:
 
 
 def _write_fleet_file(folder: Path, names: list[str], config: VehicleConfig) -> None:
-    """Write the source's settings, without what describes its topics and calibration, for `run` and `launch`."""
+    """Write the source's settings, without those of its topics, calibration and own frames, for `run` and `launch`."""
     settings = dataclasses.replace(
-        config, input=InputConfig(pair_tolerance_s=config.input.pair_tolerance_s), start=StartConfig()
+        config,
+        input=InputConfig(pair_tolerance_s=config.input.pair_tolerance_s),
+        frames=dataclasses.replace(config.frames, map="", odom=""),  # two vehicles can't share them
+        start=StartConfig(),
     )
     fleet = {"vehicles": {name: {"config": CONFIG_FILE} for name in names}, "replay": {"bags": ["."]}}
     for name, tree in ((CONFIG_FILE, parameter_file({"/**": settings})), (FLEET_FILE, fleet)):
