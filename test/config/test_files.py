@@ -118,6 +118,7 @@ WRONG_VEHICLE = {
     "list_as_key": ("? [a, b]\n: 1", r"key \['a', 'b'\] must be a word \(line 3\)"),
     "a_list": ("- backend", r"ros__parameters must hold keys and values, not \['backend'\]"),
     "bad_yaml": ("backend: {sigma_px: 1.0", r"given\.yaml: not valid YAML"),
+    "bad_date": ("frames: {map: 2026-02-30}", r"given\.yaml: not valid YAML"),
     "tab": ("backend:\n\tsigma_px: 1.0", r"given\.yaml: not valid YAML"),
     "python_object": ("backend: !!python/object:os.system {}", "not valid YAML"),
 }

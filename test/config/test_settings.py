@@ -94,6 +94,7 @@ def test_a_value_in_range_is_taken_as_the_declared_type(name: str, given: Any, v
         ("names", "x", "a list of texts"),
         ("names", [1], "a list of texts"),
         ("times_s", [math.inf], "a list of numbers [s]"),
+        ("times_s", [10**400], "a list of numbers [s]"),
         ("files", [1], "a list of paths"),
     ],
 )

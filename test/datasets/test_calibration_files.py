@@ -216,6 +216,7 @@ WRONG: dict[str, tuple[Any, str]] = {
         {"camera_matrix": {"data": [1.0] * 9}, "image_width": 9, "image_height": 9, "distortion_coefficients": [0.0]},
         "malformed",
     ),
+    "endless": ({"cam0": kalibr_camera(LEFT) | {"resolution": [math.inf, 480]}}, "malformed"),
     "number for a key": ({"cam0": kalibr_camera(LEFT), 1: kalibr_camera(RIGHT)}, "malformed"),
     "no clock": ({"cam0": kalibr_camera(LEFT) | {"timeshift_cam_imu": math.nan}}, "timeshift_cam_imu is nan"),
     "three cameras": ({f"cam{k}": kalibr_camera(LEFT) for k in range(3)}, "3 cameras"),

@@ -76,7 +76,7 @@ class Setting:
         """
         try:
             value = _converted(value, self.kind)
-        except ValueError:
+        except (ValueError, OverflowError):  # an integer beyond all floats
             raise ValueError(self.allowed) from None
         if any(map(_is_absurd, value if isinstance(value, tuple) else (value,))):
             raise ValueError(f"{self.allowed}, of a size from {SMALLEST:g} to {LARGEST:g}")

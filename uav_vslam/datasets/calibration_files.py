@@ -214,7 +214,7 @@ def parse_calibration(tree: Tree, path: Path) -> Calibration:
                 raise CalibrationError(f"{path}: {error}") from None
             except KeyError as error:
                 raise CalibrationError(f"{path}: {error.args[0]} is missing") from None
-            except (AttributeError, TypeError, ValueError) as error:
+            except (AttributeError, OverflowError, TypeError, ValueError) as error:
                 raise CalibrationError(f"{path}: malformed ({error})") from None
     raise CalibrationError(f"{path}: no calibration of Kalibr, ROS or EuRoC; it needs one of {', '.join(kinds)}")
 

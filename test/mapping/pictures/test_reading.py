@@ -149,6 +149,7 @@ def test_a_portrait_picture_is_turned_to_lie_like_the_others(tmp_path: Path) -> 
         ("file,lat_deg,lon_deg\na.png,1,2\n", "alt_m"),
         (TABLE.replace(",", ";") + "a.png;30.1;20;350;\n", "first line is 'file;lat_deg"),
         (TABLE + "S\xfcd.png,30.1,20,350,\n", "not UTF-8"),
+        (TABLE + '"a.png,30.1,20,350,\n' + "b.png,30.1,20,350,\n" * 10_000, "quotation mark"),
         (TABLE + "a.png,30.1,x,350,\n", "line 2"),
         (TABLE + "a.png,130.1,20,350,\n", "WGS 84"),
     ],

@@ -83,7 +83,7 @@ def read_positions(path: Path) -> dict[str, Row]:
     """Return the rows of a table of positions by the pictures' file names.
 
     Raises:
-        PictureError: it is not UTF-8, a column is missing, or a value is no number or out of range.
+        PictureError: it is no table in UTF-8, a column is missing, or a value is no number or out of range.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -97,6 +97,8 @@ def read_positions(path: Path) -> dict[str, Row]:
             return {row["file"]: _row(row, f"{path}, line {reader.line_num}") for row in reader}
     except UnicodeDecodeError as error:
         raise PictureError(f"{path} is not UTF-8 ({error.reason}); save it as CSV in UTF-8") from None
+    except csv.Error as error:  # a cell of more than 128 kB
+        raise PictureError(f"{path} is no table ({error}); is a quotation mark not closed?") from None
 
 
 def _row(row: dict[str, str], where: str) -> Row:
