@@ -289,8 +289,9 @@ def test_arguments_that_can_not_work_are_refused_before_anything_begins(
     assert said in capsys.readouterr().err
 
 
-def test_a_value_that_is_no_yaml_is_told(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "'backend.filter=[1': the value is not YAML" in refused(capsys, "run", good, "--set", "backend.filter=[1")
+@pytest.mark.parametrize("setting", ["backend.filter=[1", "frames.map=2026-02-30"])
+def test_a_value_that_is_no_yaml_is_told(setting: str, good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"'{setting}': the value is not YAML" in refused(capsys, "run", good, "--set", setting)
 
 
 def test_a_vehicle_named_twice_on_the_command_line_is_told(good: Path, capsys: pytest.CaptureFixture[str]) -> None:

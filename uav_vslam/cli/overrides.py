@@ -23,5 +23,5 @@ def _override(item: str) -> tuple[str, object]:
         raise ConfigError(f"setting {item!r} must have the form KEY=VALUE, for example backend.sigma_px=0.5")
     try:
         return key, yaml.safe_load(value)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, ValueError):  # ValueError: what looks like a date and is none
         raise ConfigError(f"setting {item!r}: the value is not YAML; quote it, or close its brackets") from None

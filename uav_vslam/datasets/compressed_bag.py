@@ -93,7 +93,7 @@ def _without_compression(metadata: Path) -> str:
         information = tree[INFORMATION]
         information |= {"compression_format": "", "compression_mode": ""}
         information["relative_file_paths"] = [name.removesuffix(SUFFIX) for name in information["relative_file_paths"]]
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise BagError(
             f"{metadata} is damaged ({one_line(error)}); correct it, or remove it: the files are then read without it"
         ) from None

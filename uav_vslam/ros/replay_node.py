@@ -274,7 +274,7 @@ def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
             raise ConfigError(f"inputs: {entry!r} is not of the form VEHICLE:KEY:=VALUE")
         try:
             values.setdefault(vehicle, {})[key] = yaml.safe_load(value)
-        except yaml.YAMLError:
+        except (yaml.YAMLError, ValueError):  # ValueError: what looks like a date and is none
             raise ConfigError(f"inputs: the value of {entry!r} is not YAML; close its brackets or quotes") from None
     return {vehicle: build(InputConfig, own, where=f"inputs of {vehicle}") for vehicle, own in values.items()}
 
