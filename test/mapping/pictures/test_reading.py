@@ -12,6 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.exif import clock_s, focal_px
 from uav_vslam.mapping.pictures.features import detect_all
+from uav_vslam.mapping.pictures.picture import Geodetic
 from uav_vslam.mapping.pictures.reading import read_folder
 
 TABLE = "file,lat_deg,lon_deg,alt_m,datetime\n"
@@ -46,6 +47,15 @@ def test_exif_gives_focal_length_time_and_position(tmp_path: Path) -> None:
     assert first.position is not None
     assert (first.position.latitude_deg, first.position.longitude_deg) == pytest.approx((30.17667, -98.09), abs=1e-5)
     assert first.position.height_m == pytest.approx(347.0)
+
+
+def test_a_hemisphere_may_be_a_small_letter_or_fill_a_longer_field(tmp_path: Path) -> None:
+    degrees = (IFDRational(30), IFDRational(0), IFDRational(0))
+    for k, (south, west) in enumerate((("S", "W"), ("s", "w"), ("S\0\0", "W\0\0"), ("S ", "W "))):
+        gps = {1: south, 2: degrees, 3: west, 4: degrees, 6: IFDRational(100)}
+        picture(tmp_path / f"{k}.jpg", seed=k, tags={0x8825: gps})
+    for each in read_folder(tmp_path).pictures:
+        assert each.position == Geodetic(-30.0, -30.0, 100.0)
 
 
 def test_gps_without_an_altitude_is_named_unless_the_table_has_one(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def metadata_of(image: PillowImage.Image) -> Metadata:
     """Return the metadata of an opened image; whatever is missing or malformed is None."""
     main = image.getexif()
     details, gps = main.get_ifd(EXIF_IFD), main.get_ifd(GPS_IFD)
-    names = [str(main.get(tag, "")).strip("\0 ") for tag in (MAKE, MODEL)]
+    names = [_text(main.get(tag)) for tag in (MAKE, MODEL)]
     return Metadata(
         " ".join(filter(None, names)),
         focal_px(details, image.size),
@@ -71,10 +71,10 @@ def focal_px(tags: Tags, size: tuple[int, int]) -> float | None:
 def clock_s(text: Any, subseconds: Any = None) -> float | None:
     """Return the seconds since 1970 of an EXIF time, taken as UTC; None if there is none."""
     try:
-        whole = datetime.strptime(str(text).strip("\0 "), CLOCK_FORMAT).replace(tzinfo=UTC).timestamp()
+        whole = datetime.strptime(_text(text), CLOCK_FORMAT).replace(tzinfo=UTC).timestamp()
     except ValueError:
         return None
-    digits = str(subseconds or "").strip("\0 ")
+    digits = _text(subseconds)
     return whole + (float(f"0.{digits}") if digits.isdecimal() else 0.0)
 
 
@@ -86,11 +86,16 @@ def position_of(tags: Tags) -> Geodetic | None:
         return None
     below = tags.get(ALTITUDE_REF) in (1, b"\x01")
     position = Geodetic(
-        -latitude if tags.get(LATITUDE_REF) == "S" else latitude,
-        -longitude if tags.get(LONGITUDE_REF) == "W" else longitude,
+        -latitude if _text(tags.get(LATITUDE_REF)).upper() == "S" else latitude,
+        -longitude if _text(tags.get(LONGITUDE_REF)).upper() == "W" else longitude,
         -altitude if below else altitude,
     )
     return None if position.unset else position
+
+
+def _text(value: Any) -> str:
+    """Return a tag's text without what fills its field up; empty if it is not there."""
+    return str(value or "").strip("\0 ")
 
 
 def _number(value: Any) -> float | None:
