@@ -4,8 +4,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from uav_vslam.datasets.image_sets import LAYOUTS, Layout, files_of, read_image, shift_between
+from uav_vslam.datasets.messages import decoded, halved
 from uav_vslam.errors import ConfigError
 
 
@@ -31,6 +33,18 @@ def test_an_image_keeps_its_channels_and_bits(tmp_path: Path, shape: tuple[int, 
     image = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
     cv2.imwrite(str(tmp_path / "a.png"), image)
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_pixels_stay_where_they_are_stored_whatever_exif_says(tmp_path: Path, orientation: int) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    stored = np.repeat(np.arange(0, 240, 5, np.uint8)[:, None], 64, axis=1)  # dark above
+    Image.fromarray(stored).save(tmp_path / "a.jpg", exif=exif, quality=95)
+    data = np.frombuffer((tmp_path / "a.jpg").read_bytes(), np.uint8)
+    for image in (read_image(tmp_path / "a.jpg"), decoded(data)):
+        np.testing.assert_allclose(np.asarray(image, float), stored, atol=4)
+    np.testing.assert_allclose(np.asarray(halved(data), float), stored[::2, ::2] + 2.5, atol=4)
 
 
 def test_a_file_that_is_not_an_image_is_refused(tmp_path: Path) -> None:

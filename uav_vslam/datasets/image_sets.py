@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.messages import AS_THE_SENSOR_LAY
 from uav_vslam.errors import ConfigError
 
 Image = NDArray[np.generic]
@@ -66,7 +67,7 @@ def read_image(path: Path) -> Image:
         ConfigError: it can't be read.
     """
     try:
-        image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        image = cv2.imread(str(path), AS_THE_SENSOR_LAY | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except cv2.error:  # of a size beyond OpenCV's limits
         image = None
     if image is None:

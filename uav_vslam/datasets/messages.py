@@ -51,6 +51,7 @@ TRUTH_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/TransformStamped",
 )
+AS_THE_SENSOR_LAY = cv2.IMREAD_IGNORE_ORIENTATION  # of EXIF: the calibration is of the stored pixels, as in ROS
 # What other tools call the models of `PinholeCamera`.
 LENS_MODELS = {"": "plumb_bob", "fisheye": "equidistant", "kannala_brandt4": "equidistant"}
 
@@ -171,7 +172,7 @@ def _demosaiced(pixels: NDArray[Any], encoding: str) -> NDArray[Any]:
 def decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     """Return an encoded image's pixels, or None. OpenCV raises for empty data and for sizes beyond its limits."""
     try:
-        return cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        return cv2.imdecode(data, AS_THE_SENSOR_LAY | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except cv2.error:
         return None
 
@@ -179,7 +180,7 @@ def decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
 def halved(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     """Return an encoded image's pixels, or None; grey and at half size, as that is the fastest that reads it all."""
     try:
-        return cv2.imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_2)
+        return cv2.imdecode(data, AS_THE_SENSOR_LAY | cv2.IMREAD_REDUCED_GRAYSCALE_2)
     except cv2.error:
         return None
 
