@@ -90,7 +90,7 @@ def no_attitude(truth: Trajectory, flight: Trajectory) -> str:
     return (
         "the orientation of the ground truth never changes, while the estimate turns by up to "
         f"{math.degrees(largest_turn_rad(flight)):.0f} deg: errors of attitude, and those expressed in the body, are "
-        "left out"
+        "left out; where the start defines the map, the truth's heading is fitted to the estimate"
     )
 
 
