@@ -3,11 +3,13 @@
 
 import dataclasses
 from collections import Counter
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 
 from uav_vslam.config import RigConfig
+from uav_vslam.errors import FilterDivergence
 from uav_vslam.slam.saved_map.archive import LEFT_FOR_SECTION, MIN_OBSERVATIONS, SECTION_LANDMARKS, MapArchive
 from uav_vslam.slam.saved_map.record import MapOrigin
 
@@ -71,6 +73,21 @@ def test_a_filter_that_was_re_initialised_loses_no_landmark(make_joint) -> None:
     kept = archive.mapped()
     assert [place.ids.tolist() for place in kept.places] == [[1, 2, 3, 4, 5], [101, 102, 103, 104, 105]]
     assert kept.origin.stamp_ns == 101_000_000_000
+
+
+def test_a_belief_that_is_not_positive_definite_costs_no_other_its_landmarks(make_joint) -> None:
+    """The filter is re-initialised after it; taken over, it would fail each later belief, and the map."""
+    archive = MapArchive(MapOrigin("uav1", 1, frame="uav1/map", stamp_ns=0))
+    rng = np.random.default_rng(2)
+    broken = np.diag(np.append(np.ones(20), -1.0))
+    for first, covariance in ((1, np.eye(21)), (101, broken), (201, np.eye(21))):
+        ids = np.arange(first, first + 5, dtype=np.uint32)
+        for _ in range(MIN_OBSERVATIONS):
+            archive.count(np.column_stack([ids, ids]).astype(np.intp))
+        belief = make_joint(rng.normal(0.0, 20.0, (5, 3)), covariance, stamp_ns=first * 1_000_000_000)
+        with pytest.raises(FilterDivergence) if covariance is broken else nullcontext():
+            archive.add(dataclasses.replace(belief, ids=ids))
+    assert [place.ids.tolist() for place in archive.mapped().places] == [[1, 2, 3, 4, 5], [201, 202, 203, 204, 205]]
 
 
 def test_a_flight_without_a_belief_has_an_empty_map() -> None:

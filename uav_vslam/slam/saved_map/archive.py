@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.image_grid import spread_on_ground
 from uav_vslam.geometry.pose import POSE_DIM
-from uav_vslam.numerics import submatrix
+from uav_vslam.numerics import cholesky, submatrix
 from uav_vslam.slam.landmark_memory import LandmarkMemory
 from uav_vslam.slam.saved_map.record import MapOrigin, Mapped, MappedPlace
 from uav_vslam.types import JointInformation
@@ -54,6 +54,7 @@ class MapArchive:
         Raises:
             FilterDivergence: its information, or the covariance of some landmarks, is not positive definite.
         """
+        cholesky(joint.information, "joint information")  # taken over, it would fail each later belief, and `mapped`
         if self._last is not None and not np.isin(self._in_state, joint.ids).any():
             self._parts += self._rest()  # the filter was re-initialised: nothing relates it to the past
             self._stored |= set(self._last.ids.tolist())
