@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which landmarks make room for others, and how much those count that have come back."""
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
+from fed_stage import feed
 
 from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
 from uav_vslam.geometry.pose import Pose
@@ -60,3 +62,18 @@ def test_landmarks_that_are_gone_make_room_for_those_that_hover_shows() -> None:
     reports = [backend.process(features, increment) for features, increment in frames]
     assert not any(report.recovery for report in reports)
     assert min(report.associated for report in reports[1:]) >= 0.2 * POINTS
+
+
+def test_landmarks_without_a_track_are_observed_beside_tracks(flown) -> None:
+    """A front end need not track all points: that two have no track does not make it the same track."""
+    flight = flown(1, tracked_px=0.3)
+    frames = [
+        (dataclasses.replace(features, tracks=features.tracks * (features.tracks % 2)), step)
+        for features, step in flight.frames
+    ]
+    observed: list[set[int]] = []
+    for output, (features, _) in zip(feed(flight.tracking_stage(0.3), frames), frames, strict=True):
+        sightings = output.report.sightings
+        observed.append(set(sightings[features.tracks[sightings[:, 1]] == 0, 0].tolist()))
+    again = [len(now & before) for before, now in itertools.pairwise(observed)]
+    assert min(again[2:]) >= 10  # of some twenty; the first frames' landmarks wait for the angular rate

@@ -168,7 +168,8 @@ class LocalMap:
         """Leave out landmarks that are still on the track that made them: its views are used as a track's."""
         if self._window.followed == 0:
             return matches
-        same = self._map.tracks[matches.landmarks] == features.tracks[matches.features]
+        tracks = features.tracks[matches.features]
+        same = (self._map.tracks[matches.landmarks] == tracks) & (tracks != 0)  # without a track, both have 0
         return matches.chosen(np.flatnonzero(~same | self._map.revisited[matches.landmarks]))
 
     def _variance(self) -> NDArray[np.float64]:
