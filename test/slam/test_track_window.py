@@ -240,6 +240,27 @@ def test_a_sliding_track_that_ends_first_does_not_mislead_an_uncertain_start(flo
         np.testing.assert_allclose(position_errors(flight, reports), undisturbed, atol=0.02)
 
 
+def test_tracks_that_are_all_refused_do_not_hide_that_landmarks_correct_the_state(flown) -> None:
+    """What is tracked moves with the vehicle, as its shadow. The filter is not lost, nor is the IMU faulty."""
+    flight, rng, fixed = flown(1, frames=9), np.random.default_rng(1), 30
+    rig, tracks = flight.vehicle.rig, np.arange(1, fixed + 1, dtype=np.uint32)
+    shadow = rig.project(60.0 * rig.left.bearings(rng.uniform([100, 100], [1100, 850], (fixed, 2))))
+    backend = backend_of(flight, sigma_px=1.0, window=10)
+    for features, step in flight.frames:
+        seen = shadow + rng.normal(0.0, SIGMA_PX / 2, shadow.shape)
+        unlike = rng.integers(0, 255, (fixed, features.descriptors.shape[1])).astype(np.uint8)
+        both = StereoFeatures(
+            features.stamp_ns,
+            np.vstack([features.pixels, seen]).astype(np.float32),
+            np.vstack([features.descriptors, unlike]),
+            np.concatenate([np.zeros(len(features), np.uint32), tracks]),
+        )
+        report = backend.process(both, step)
+    assert report.associated > 20
+    assert report.innovation is not None
+    assert report.innovation.dof == 4 * report.associated
+
+
 @pytest.mark.parametrize("changes", [{"filter": "thesis_ukf", "model": "euler9"}, {"model": "euler9"}])
 def test_the_thesiss_filters_and_states_have_no_past_poses(flown, changes) -> None:
     flight = flown(7, frames=6, tracked_px=SIGMA_PX / 2)

@@ -261,7 +261,8 @@ class SlamBackend:
         if present.filter is not doubting.filter:
             outcome.doubting = doubting.filter.nav_estimate(as_calibrated=True)
         self._nav, self._present_rig = present.filter.nav_estimate(), present.filter.rig
-        outcome.innovation = present.innovation or outcome.innovation
+        if present.innovation is not None and present.innovation.dof:  # refused tracks hide no landmarks
+            outcome.innovation = present.innovation
         outcome.as_calibrated = present.filter.nav_estimate(as_calibrated=True)
         outcome.disparity, outcome.time_offset = present.filter.disparity, present.filter.time_offset
         of_landmarks = self._local_map.sightings(outcome.matches)
