@@ -7,7 +7,7 @@ import pytest
 from uav_vslam.cooperation.own_landmarks import LOOSE, well_ranged
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 
-DRIFT_M = 30.0  # of the vehicle with its landmarks, far more than any distance's error
+DRIFT_M = 30.0  # of the vehicle since it saw the landmarks, far more than any distance's error
 POSE = Pose(np.eye(3), np.zeros(3))
 BELOW = np.array([[5.0, 0.0, -80.0], [-9.0, 4.0, -80.0], [0.0, 7.0, -60.0]])
 
@@ -17,8 +17,7 @@ def belief(make_joint):
     """Return a maker of beliefs over the vehicle and points below it, with a sigma of each one's height [m]."""
 
     def make(*sigmas_m: float):
-        shared = np.vstack([np.tile(np.eye(3), (2, 1)), np.tile(np.eye(3), (len(BELOW), 1))]) * DRIFT_M
-        shared[3:POSE_DIM] = 0.0
+        shared = DRIFT_M * np.vstack([np.zeros((POSE_DIM, 3)), np.tile(np.eye(3), (len(BELOW), 1))])
         own = np.r_[np.full(POSE_DIM, 1e-4), np.ravel([[1e-4, 1e-4, sigma**2] for sigma in sigmas_m])]
         return make_joint(BELOW, shared @ shared.T + np.diag(own), T_map_body=POSE)
 
@@ -26,7 +25,7 @@ def belief(make_joint):
 
 
 def test_landmarks_with_a_loose_distance_are_left_out(belief):
-    """The sigma counts in proportion to the distance from the vehicle, however far the map has drifted."""
+    """The sigma counts in proportion to the distance from the vehicle, however far that has drifted since."""
     joint = belief(1.0, 1.3 * LOOSE * 80.0, 0.9 * LOOSE * 60.0)
 
     kept = well_ranged(joint)

@@ -41,16 +41,16 @@ class OwnLandmarks:
 
 
 def well_ranged(joint: JointInformation) -> JointInformation:
-    """Return a belief without the landmarks whose distance from the vehicle is hardly known, as after a single view.
+    """Return a belief without the landmarks whose distance is hardly known, as after a single view.
 
     The error of 1 / disparity is skewed: it shifts the mean distance by the square of its relative sigma and has a long
     tail. The vehicle's own pose hardly depends on such a landmark, but one that a peer has too would correct its tilt.
+    What counts is the landmark's error given all the others: drift, which they share, is not skewed.
     """
-    arm, P = joint.positions - joint.T_map_body.t, joint.covariance
+    arm, Y = joint.positions - joint.T_map_body.t, joint.information
     own = landmark_rows(POSE_DIM, np.arange(len(arm))).reshape(-1, 3)
-    cross = P[own[:, :, None], np.arange(3)]
-    relative = P[own[:, :, None], own[:, None, :]] + P[:3, :3] - cross - np.swapaxes(cross, 1, 2)
-    along = np.einsum("ni,nij,nj->n", arm, relative, arm)  # variance of the distance, times its square
+    given_others = np.linalg.inv(Y[own[:, :, None], own[:, None, :]])
+    along = np.einsum("ni,nij,nj->n", arm, given_others, arm)  # variance of the distance, times its square
     loose = along > LOOSE**2 * np.sum(arm**2, axis=1) ** 2
     if not loose.any():
         return joint
@@ -59,6 +59,6 @@ def well_ranged(joint: JointInformation) -> JointInformation:
         joint,
         ids=joint.ids[~loose],
         positions=joint.positions[~loose],
-        information=marginalise_information(joint.information, keep, gone, "information of loose landmarks"),
+        information=marginalise_information(Y, keep, gone, "information of loose landmarks"),
         descriptors=joint.descriptors[~loose],
     )
