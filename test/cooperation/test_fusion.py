@@ -201,6 +201,18 @@ def test_ten_packets_of_one_vehicle_count_as_its_newest_alone(own, peer_packet) 
     assert repeated.pose.covariance[0, 0] == pytest.approx(ours_claimed[0, 0], rel=1e-3)
 
 
+def test_a_landmark_whose_distance_is_hardly_known_is_neither_fused_nor_sent(make_joint, peer_packet) -> None:
+    P = belief_covariance(1.0)
+    P[-1, -1] += 20.0**2  # the last one's height, seen from 70 m
+    joint = make_joint(TRUTH, P, stamp_ns=NOW_NS)
+    fusion = Fusion("uav1", EXACT)
+    fusion.inbox.add(peer_packet())
+    epoch = fusion.fuse(joint)
+    assert epoch.common == {"uav2": COUNT - 1}
+    assert fusion.packet().ids.tolist() == joint.ids[:-1].tolist()
+    assert fusion.loose == 1
+
+
 def test_without_cooperation_the_fused_track_is_the_own_one(own, peer_packet) -> None:
     epoch = fuse(own, peer_packet(), config=FusionConfig(mode="none"))
     np.testing.assert_array_equal(epoch.pose.T_map_body.matrix, own.T_map_body.matrix)

@@ -60,6 +60,7 @@ class Fusion:
         inbox: packets of peers.
         returned: feedback of peers: their fused estimates of own landmarks.
         belief: own belief of the last epoch, with remembered landmarks and without loose ones.
+        loose: number of landmarks left out there, see `own_landmarks.well_ranged`.
         epoch: result of the last fusion.
     """
 
@@ -84,6 +85,7 @@ class Fusion:
         self._times_sent: Counter[int] = Counter()  # how often each landmark of the estimate was sent
         self._shared_rows: dict[str, _SharedRows] = {}  # of each peer, at the last epoch
         self.belief: JointInformation | None = None
+        self.loose = 0
         self.epoch: FusedEpoch | None = None
 
     def configure(self, config: FusionConfig) -> None:
@@ -142,7 +144,9 @@ class Fusion:
             self._shared, self._offered, self._times_sent = set(), set(), Counter()
         for inbox in (self.inbox, self.returned):
             inbox.advance(joint.stamp_ns, joint.session)
-        self.belief = well_ranged(self._memory.extended(joint, self._shared, self._offered))
+        whole = self._memory.extended(joint, self._shared, self._offered)
+        self.belief = well_ranged(whole)
+        self.loose = len(whole.ids) - len(self.belief.ids)
         config = self._config
         fusing = EpochFusion(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
         self._shared_rows.clear()

@@ -187,7 +187,7 @@ class FusionNode(VehicleNode):
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
         self._exchange.send()
-        self.notes["map_landmarks"] = str(epoch.map_landmarks)
+        self.notes |= {"map_landmarks": str(epoch.map_landmarks), "loose_landmarks": str(self._fusion.loose)}
         stamp_ns = joint.stamp_ns
         self._publish_frames(stamp_ns, epoch)
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=self.world_frame))
