@@ -162,6 +162,7 @@ def test_a_number_may_be_written_in_any_way(write_vehicle: Write, text: str) -> 
         ({"sigma_px": 1.0}, "overrides: unknown key sigma_px"),
         ({"backend.sigma_px": "one"}, r"overrides: backend\.sigma_px = 'one' is not allowed"),
         ({"backend.sigma_px": 0.0}, r"overrides: backend\.sigma_px = 0\.0 is not allowed"),
+        ({"frontend": {"method": "sift"}}, r"frontend is a group of settings; give each by its name, as frontend\.m"),
     ],
 )
 def test_a_wrong_override_is_refused(overrides: dict, message: str) -> None:

@@ -231,6 +231,9 @@ def check_names(values: Mapping[str, Any], *classes: type, where: str, beside: C
     parts = {name.partition(".")[0] for name in known if "." in name}
     for name, value in values.items():
         if name in parts and value not in (None, {}):
+            if isinstance(value, dict):
+                one = f"{name}.{next(iter(value))}"
+                raise ConfigError(f"{where}: {name} is a group of settings; give each by its name, as {one}")
             raise ConfigError(f"{where}: {name} must hold keys and values, not {value!r}")
         if name not in known | parts:
             raise ConfigError(f"{where}: unknown key {name}; {_hint(name, known, parts | set(beside))}")

@@ -97,6 +97,7 @@ WRONG = {
     "a short line": (f"1 {POSE}\n2 1 2 3\n", r"poses.txt:2: 4 columns, but line 1 has 8"),
     "NaN": (f"1 {POSE}\n\n2 1 nan 3 0 0 0 1\n", r"poses.txt:3: column 3 holds 'nan', not a finite number"),
     "NaN in front": (f"nan {POSE}\n", r"poses.txt:1: the stamp 'nan' is not a number"),
+    "beyond all sizes": (f"1e999999999999 {POSE}\n", r"poses.txt:1: the stamp '1e999999999999' is not a number"),
     "infinity": (f"1 {POSE}\n2 1 inf 3 0 0 0 1\n", r"poses.txt:2: column 3 holds 'inf'"),
     "a word": (f"1 {POSE}\n2 1 lost 3 0 0 0 1\n", r"poses.txt:2: column 3 holds 'lost'"),
     "unsorted": (f"1 {POSE}\n3 {POSE}\n# odd\n2 {POSE}\n", r"poses.txt:4: the stamp 2 is not after 3 of line 2; sort"),

@@ -3,7 +3,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal, InvalidOperation, Overflow
 from pathlib import Path
 
 import numpy as np
@@ -80,8 +80,8 @@ class Rows:
     def _stamp(self, row: int, *, seconds: bool) -> int:
         text = self.cells[row][0]
         try:
-            value = Decimal(text)  # a float would lose the last digits
-        except InvalidOperation:
+            value = +Decimal(text)  # a float would lose the last digits
+        except (InvalidOperation, Overflow):
             value = Decimal("nan")
         if not value.is_finite():
             raise TrajectoryFileError(f"{self.at(row)}: the stamp {text!r} is not a number; correct or remove the line")
