@@ -151,7 +151,7 @@ def test_ground_truth_that_never_turns_is_warned_about_and_attitude_is_left_out(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late_ns", [0, 50_000_000])
+@pytest.mark.parametrize("late_ns", [0, 40_000_000])
 def test_a_flight_that_is_mostly_dead_reckoning_is_warned_about(
     late_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

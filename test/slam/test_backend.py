@@ -281,7 +281,7 @@ def test_every_filter_flies_with_every_state_model(flight: Flight, name: str, mo
 
 
 def test_the_thesis_s_h_infinity_filter_flies_with_the_gamma_of_the_thesis(flight: Flight) -> None:
-    """Its covariance is indefinite, but singular values give a square root. It smooths no depths."""
-    reports = flight.fly(flight.backend(filter="thesis_uhf", model="euler9", gamma=1.5, depth_sigma_ratio=0.0))
+    """Its covariance is indefinite, but singular values give a square root."""
+    reports = flight.fly(flight.backend(filter="thesis_uhf", model="euler9", gamma=1.5))
     assert not any(r.recovery for r in reports)
     assert flight.position_error_m(reports[-1]) < 2.0

@@ -393,10 +393,12 @@ class Filter(JointState):
         T_map_left = camera.nav.T_map_body @ camera.rig.T_body_left
         landmarks = T_map_left.apply(points_left)
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        known = self.points_left()  # new points alone, which no landmark explains, are often the wrong ones
-        shown = np.vstack([points_left, known[projectable(camera.rig, known)]])
-        variance = triangulation_covariance(camera.rig, shown, self.sigma_px)[:, 2, 2]
-        at = smoothed(shown, variance, depth_sigma_ratio=self._depth_sigma_ratio)[: len(points_left)]
+        known = self.points_left()
+        known = known[projectable(camera.rig, known)]
+        variance, of_known = (
+            triangulation_covariance(camera.rig, points, self.sigma_px)[:, 2, 2] for points in (points_left, known)
+        )
+        at = smoothed(points_left, variance, depth_sigma_ratio=self._depth_sigma_ratio, known=(known, of_known))
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
         kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self.sigma_px
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)

@@ -55,13 +55,21 @@ def point_jacobian(rig: StereoRig, nav: NavState, landmarks: Array) -> PointJaco
     return PointJacobian(in_left_camera(rig, nav, landmarks), J, R_left_map)
 
 
-def smoothed(points_left: Array, depth_variance: Array, *, depth_sigma_ratio: float) -> Array:
+def smoothed(
+    points_left: Array,
+    depth_variance: Array,
+    *,
+    depth_sigma_ratio: float,
+    known: tuple[Array, Array] | None = None,
+) -> Array:
     """Scale points to depth s z + (1-s) z_ground, s = sigma^2 / (sigma^2 + var z).
 
     Args:
         points_left: (N, 3) [m].
         depth_variance: (N,) variance of each depth [m^2].
         depth_sigma_ratio: relief of the ground over its depth; 0 disables the smoothing.
+        known: landmarks in view (K, 3) and their variances (K,), which may show the ground where the points do not: new
+            ones, which no landmark explains, are often wrong matches, and scatter as in a room.
 
     Returns:
         (N, 3) linearisation points, scaled to the depth of the ground that the points in front show, if any.
@@ -72,6 +80,10 @@ def smoothed(points_left: Array, depth_variance: Array, *, depth_sigma_ratio: fl
         return points_left
     variance = np.maximum(depth_variance[ahead], 0.0)
     ground = ground_depth(points_left[ahead], variance, depth_sigma_ratio)
+    if ground is None and known is not None:
+        shown, of_shown = np.vstack([points_left[ahead], known[0]]), np.concatenate([variance, known[1]])
+        with_known = ground_depth(shown, of_shown, depth_sigma_ratio)
+        ground = None if with_known is None else with_known[: len(variance)]
     if ground is None:
         return points_left
     sigma2 = (depth_sigma_ratio * ground) ** 2
