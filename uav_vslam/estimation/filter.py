@@ -13,6 +13,7 @@ thesis's four filters differ only in belief and linearisation:
 import copy
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -393,17 +394,26 @@ class Filter(JointState):
         T_map_left = camera.nav.T_map_body @ camera.rig.T_body_left
         landmarks = T_map_left.apply(points_left)
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        known = self.points_left()
-        known = known[projectable(camera.rig, known)]
-        variance, of_known = (
-            triangulation_covariance(camera.rig, points, self.sigma_px)[:, 2, 2] for points in (points_left, known)
+        at = smoothed(
+            points_left,
+            triangulation_covariance(camera.rig, points_left, self.sigma_px)[:, 2, 2],
+            depth_sigma_ratio=self._depth_sigma_ratio,
+            known=partial(self._in_view, camera),
         )
-        at = smoothed(points_left, variance, depth_sigma_ratio=self._depth_sigma_ratio, known=(known, of_known))
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
         kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self.sigma_px
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)
         self._set_mean(landmarks=np.vstack([self.landmarks, landmarks]))
         return triangulated
+
+    def _in_view(self, camera: Camera) -> tuple[Array, Array]:
+        """Return the (K, 3) landmarks in view in the left camera frame [m], and the variances of their depths [m^2].
+
+        Those are what one view tells.
+        """
+        known = self.points_left()
+        known = known[projectable(camera.rig, known)]
+        return known, triangulation_covariance(camera.rig, known, self.sigma_px)[:, 2, 2]
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
         return self._linear.observation(

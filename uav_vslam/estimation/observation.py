@@ -9,6 +9,7 @@ depth is known better: the Jacobian (never the residual) is evaluated at `c` sca
 own and the ground's (`ground_depth`), weighted by the landmark's depth variance against the relief of the ground.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +61,7 @@ def smoothed(
     depth_variance: Array,
     *,
     depth_sigma_ratio: float,
-    known: tuple[Array, Array] | None = None,
+    known: Callable[[], tuple[Array, Array]] | None = None,
 ) -> Array:
     """Scale points to depth s z + (1-s) z_ground, s = sigma^2 / (sigma^2 + var z).
 
@@ -68,8 +69,8 @@ def smoothed(
         points_left: (N, 3) [m].
         depth_variance: (N,) variance of each depth [m^2].
         depth_sigma_ratio: relief of the ground over its depth; 0 disables the smoothing.
-        known: landmarks in view (K, 3) and their variances (K,), which may show the ground where the points do not: new
-            ones, which no landmark explains, are often wrong matches, and scatter as in a room.
+        known: returns landmarks in view (K, 3) and their variances (K,), which may show the ground where the points do
+            not: new ones, which no landmark explains, are often wrong matches, and scatter as in a room.
 
     Returns:
         (N, 3) linearisation points, scaled to the depth of the ground that the points in front show, if any.
@@ -81,9 +82,10 @@ def smoothed(
     variance = np.maximum(depth_variance[ahead], 0.0)
     ground = ground_depth(points_left[ahead], variance, depth_sigma_ratio)
     if ground is None and known is not None:
-        shown, of_shown = np.vstack([points_left[ahead], known[0]]), np.concatenate([variance, known[1]])
-        with_known = ground_depth(shown, of_shown, depth_sigma_ratio)
-        ground = None if with_known is None else with_known[: len(variance)]
+        landmarks, of_landmarks = known()
+        shown, of_shown = np.vstack([points_left[ahead], landmarks]), np.concatenate([variance, of_landmarks])
+        of_all = ground_depth(shown, of_shown, depth_sigma_ratio)
+        ground = None if of_all is None else of_all[: len(variance)]
     if ground is None:
         return points_left
     sigma2 = (depth_sigma_ratio * ground) ** 2
