@@ -54,8 +54,13 @@ def _stretch(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     low, high = np.percentile(image[::STRETCH_STEP, ::STRETCH_STEP].astype(np.float32), STRETCH_PERCENTILES)
     if high - low < 1.0:
         return np.zeros(image.shape, np.uint8)
-    stretched = (image.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
-    return np.asarray(np.clip(np.rint(stretched), 0, 255), np.uint8)
+    return stretched(image, low, high)
+
+
+def stretched(image: NDArray[np.generic], black: float, white: float) -> NDArray[np.uint8]:
+    """Return an image whose black and white levels have become 0 and 255."""
+    levels = (image.astype(np.float32) - np.float32(black)) * np.float32(255.0 / (white - black))
+    return np.asarray(np.clip(np.rint(levels), 0, 255), np.uint8)
 
 
 def shrink(image: NDArray[Pixel], scale: float) -> NDArray[Pixel]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from uav_vslam.errors import PictureError
-from uav_vslam.vision.images import to_bgr8
+from uav_vslam.vision.images import stretched, to_bgr8
 
 Image = NDArray[np.uint8]
 
@@ -73,7 +73,7 @@ class Picture:
         """
         stored = self.stored()
         if self.levels is not None and stored.dtype == np.uint16:
-            stored = _in_8_bits(stored, *self.levels)
+            stored = stretched(stored, *self.levels)
         return np.ascontiguousarray(to_bgr8(stored))
 
     def stored(self) -> NDArray[np.generic]:
@@ -89,12 +89,6 @@ class Picture:
         if image.shape[:2] != (self.height, self.width):
             raise PictureError(f"{self.path} is {image.shape[1]}x{image.shape[0]}, not {self.width}x{self.height} px")
         return np.ascontiguousarray(image)
-
-
-def _in_8_bits(image: NDArray[np.generic], black: float, white: float) -> Image:
-    """Return an image whose black and white levels have become 0 and 255."""
-    stretched = (image.astype(np.float32) - np.float32(black)) * np.float32(255.0 / (white - black))
-    return np.asarray(np.clip(np.rint(stretched), 0, 255), np.uint8)
 
 
 def _decoded(path: Path) -> NDArray[np.generic] | None:

@@ -10,8 +10,9 @@ from collections import defaultdict
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.vision.images import STRETCH_PERCENTILES
+
 SAMPLES = 100  # along each side of an image, about
-PERCENTILES = 0.5, 99.5  # robust to hot pixels and glints
 OFFSET_SHARE = 0.5  # of the brightest values that the darkest must reach to be black instead of zero
 
 
@@ -32,6 +33,6 @@ class RawValues:
         """Return the values that become black and white; None if there is no image, or all of it is one value."""
         if not (samples := self._samples.get(camera)):
             return None
-        low, high = np.percentile(np.concatenate(samples), PERCENTILES)
+        low, high = np.percentile(np.concatenate(samples), STRETCH_PERCENTILES)
         black = float(low) if low >= OFFSET_SHARE * high else 0.0
         return (black, float(high)) if high - black >= 1.0 else None
