@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _euroc(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Import a sequence in EuRoC's ASL layout; SOURCE is its mav0 folder."
+    parser.description = "Import a sequence in EuRoC's ASL layout; SOURCE is its mav0 folder, or the one that holds it."
     parser.epilog = "example: uav-vslam import euroc V1_01_easy/mav0 v101"
     parser.set_defaults(read=_read_euroc)
 

@@ -113,6 +113,11 @@ def test_only_images_with_equal_stamps_pair(tmp_path: Path) -> None:
     assert problems.counts == {"pictures without a partner": 2}
 
 
+def test_the_folder_that_an_archive_unpacks_to_will_do(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "V1_01_easy" / "mav0")
+    assert read_euroc(tmp_path / "V1_01_easy").frame_count == 2
+
+
 def test_lenses_may_be_fisheyes(tmp_path: Path) -> None:
     rig = read_euroc(write_sequence(tmp_path / "mav0", model="equidistant")).flight.rig
     assert rig.right.model == "equidistant"

@@ -36,12 +36,12 @@ TRACKED_S = 0.2  # usual time between images below which points can be tracked
 
 
 def read_euroc(
-    mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None = None, problems: Problems | None = None
+    folder: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None = None, problems: Problems | None = None
 ) -> Source:
     """Read a sequence; it starts at the first image pair with readings and, if there is any, ground truth.
 
     Args:
-        mav0: the folder that holds cam0, cam1, imu0 and maybe the ground truth.
+        folder: holds cam0, cam1, imu0 and maybe the ground truth, itself or in its `mav0`.
         vehicle: its ROS namespace.
         sigma: stated uncertainty of the start state.
         problems: collects what is left out.
@@ -51,8 +51,9 @@ def read_euroc(
         CalibrationError: a lens is not supported, or the cameras' calibrations contradict each other.
     """
     problems = problems or Problems()
+    mav0 = folder if (folder / "cam0").is_dir() else folder / "mav0"
     if not (mav0 / "cam0").is_dir():
-        raise BagError(f"{mav0} has no folder cam0; give the sequence's mav0 folder")
+        raise BagError(f"{folder} has no folder cam0; give the sequence's mav0 folder")
     left, T_body_left = _camera(mav0 / "cam0")
     right, T_body_right = _camera(mav0 / "cam1")
     imu = read_imu_table(mav0 / "imu0" / "data.csv", problems)
