@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrations of other tools: the same rig from Kalibr's, ROS's and EuRoC's files."""
+"""Calibrations of other tools: the same rig from Kalibr's, OpenVINS's, ROS's and EuRoC's files."""
 
 import math
 from pathlib import Path
@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from calibrated_rig import LEFT, RIG, RIGHT, T_BODY_LEFT, T_LEFT_RIGHT, assert_rig, setup_of
 
 from uav_vslam.config import InputConfig, load_vehicle
 from uav_vslam.config.input import FramesConfig
@@ -18,13 +19,7 @@ from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.geometry.stereo import StereoRig
 
-LEFT = PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0, np.array([-0.1, 0.02, 1e-3, -1e-3, 0.0]))
-RIGHT = PinholeCamera(640, 480, 405.0, 406.0, 318.0, 242.0, np.array([-0.1, 0.03, 1e-3, 1e-3, 0.0]))
-T_BODY_LEFT = Pose(so3_exp([0.1, -2.0, 0.5]), np.array([0.2, -0.1, 0.05]))
-T_LEFT_RIGHT = Pose(so3_exp([0.01, -0.02, 0.005]), np.array([0.11, 0.002, -0.003]))
-RIG = StereoRig(LEFT, RIGHT, T_BODY_LEFT, T_BODY_LEFT @ T_LEFT_RIGHT)
 NOISE = {
     "accelerometer_noise_density": 2e-3,
     "accelerometer_random_walk": 3e-3,
@@ -97,24 +92,20 @@ def euroc(folder: Path) -> Path:
     return folder
 
 
-def assert_rig(rig: StereoRig) -> None:
-    for ours, true in ((rig.left, LEFT), (rig.right, RIGHT)):
-        np.testing.assert_allclose(ours.K, true.K)
-        np.testing.assert_allclose(ours.distortion, true.distortion)
-    np.testing.assert_allclose(rig.T_body_left.matrix, RIG.T_body_left.matrix, atol=1e-9)
-    np.testing.assert_allclose(rig.T_body_right.matrix, RIG.T_body_right.matrix, atol=1e-9)
-
-
-def setup_of(*paths: Path) -> SensorSetup:
-    return SensorSetup.of("uav1", InputConfig(calibration=paths))
-
-
 def test_kalibrs_file_tells_all_of_the_rig_and_the_clock(tmp_path: Path) -> None:
     setup = setup_of(kalibr(tmp_path))
     assert not setup.needs_infos
     assert not setup.needs_frames
     assert setup.time_offset_ns == -4_000_000
     assert_rig(setup.rig())
+
+
+def test_openvins_gives_each_cameras_pose_at_the_imu(tmp_path: Path) -> None:
+    poses = {"cam0": (LEFT, RIG.T_body_left), "cam1": (RIGHT, RIG.T_body_right)}
+    tree = {name: kalibr_camera(one, T_imu_cam=pose.matrix.tolist()) for name, (one, pose) in poses.items()}
+    file = written(tmp_path / "kalibr_imucam_chain.yaml", tree)
+    file.write_text(f"%YAML:1.0\n\n{file.read_text()}")
+    assert_rig(setup_of(file).rig())
 
 
 @pytest.mark.parametrize(("right_s", "told"), [(None, ""), (-0.0042, ""), (0.046, "exposed +50.0 ms from the left")])
@@ -201,7 +192,7 @@ def test_paths_in_a_configuration_are_relative_to_it(tmp_path: Path) -> None:
 
 
 WRONG: dict[str, tuple[Any, str]] = {
-    "no calibration": ({"speed": 3}, "no calibration of Kalibr, ROS or EuRoC"),
+    "no calibration": ({"speed": 3}, "no calibration of Kalibr, OpenVINS,"),
     "omnidirectional": ({"cam0": kalibr_camera(LEFT) | {"camera_model": "omni"}}, "camera_model 'omni'"),
     "unknown lens": ({"cam0": kalibr_camera(LEFT) | {"distortion_model": "fov"}}, "'fov' is not supported"),
     "no intrinsics": ({"cam0": {"camera_model": "pinhole"}}, "resolution is missing"),

@@ -53,8 +53,8 @@ class InputConfig(Settings):
 
     calibration: tuple[Path, ...] = setting(
         (),
-        "calibration files of Kalibr, ROS or EuRoC, relative to the configuration file; what they hold is not taken "
-        "from camera_info and /tf_static",
+        "calibration files of Kalibr, OpenVINS, ORB-SLAM3, VINS-Fusion, ROS or EuRoC, relative to the configuration "
+        "file; what they hold is not taken from camera_info and /tf_static",
     )
     rectified: bool = setting(
         False, "images are rectified (image_rect): P and R of camera_info count instead of K and D"

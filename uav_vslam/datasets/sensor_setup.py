@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from uav_vslam.config import InputConfig, VehicleConfig, differences, replaced
-from uav_vslam.datasets.calibration_files import Calibration, read_calibration
+from uav_vslam.datasets.calibration_files import read_calibration
+from uav_vslam.datasets.camera_calibration import Calibration
 from uav_vslam.datasets.frame_tree import SAME_PLACE, FrameTree
 from uav_vslam.datasets.messages import camera_of, rectified_camera_of
 from uav_vslam.errors import CalibrationError

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TYPES
-from uav_vslam.datasets.calibration_files import Calibration
+from uav_vslam.datasets.camera_calibration import Calibration
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.frame_tree import TF, TF_STATIC, UnmovedFrames
 from uav_vslam.datasets.messages import (

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.bag import DEFAULT_VEHICLE, open_flight
+from uav_vslam.datasets.calibration_files import KINDS
 from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo, topics_of
 from uav_vslam.datasets.sensor_setup import with_noise_of_files
@@ -168,9 +169,7 @@ def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
         if text.startswith(TF_STATIC):
             found.findings.append(error("frames", text, "tf2_msgs/msg/TFMessage", "record it again"))
         else:
-            found.findings.append(
-                error("calibration files", text, "files of Kalibr, ROS or EuRoC", "correct or replace the file")
-            )
+            found.findings.append(error("calibration files", text, f"files of {KINDS}", "correct or replace the file"))
     found.findings += topics.check_frames(survey)
     for index, side in enumerate(SIDES):
         try:

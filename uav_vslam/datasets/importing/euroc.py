@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_vslam.datasets.calibration_files import parse_calibration, yaml_tree
+from uav_vslam.datasets.calibration_files import parse_calibration
+from uav_vslam.datasets.calibration_tree import yaml_tree
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples
 from uav_vslam.datasets.importing.pictures import (

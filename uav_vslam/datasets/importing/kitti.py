@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.calibration_files import is_rotation, rigid_pose
+from uav_vslam.datasets.camera_calibration import is_rotation, rigid_pose
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.kitti_oxts import OXTS_NOISE, OxtsRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses

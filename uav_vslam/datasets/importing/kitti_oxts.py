@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.calibration_files import rigid_pose
+from uav_vslam.datasets.camera_calibration import rigid_pose
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, motion_of_poses
 from uav_vslam.datasets.importing.pictures import PicturePair, pairs_with_readings
 from uav_vslam.datasets.importing.problems import Problems

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.calibration_files import camera, read_calibration, rigid_pose
+from uav_vslam.datasets.calibration_files import read_calibration
+from uav_vslam.datasets.camera_calibration import camera, rigid_pose
 from uav_vslam.datasets.importing.kagaru_settings import CalibrationSettings
 from uav_vslam.errors import CalibrationError, ConfigError
 from uav_vslam.geometry.camera import PinholeCamera
