@@ -71,6 +71,12 @@ def test_noise_that_is_gone_is_forgotten() -> None:
     assert measured(loud + quiet, QUIET) is QUIET
 
 
+def test_noise_that_begins_is_measured_by_the_first_spectrum() -> None:
+    """As when motors start: the mean with what was measured at rest would claim a third of it."""
+    samples = readings(2 * ALL, imu=QUIET)[:ALL] + readings(2 * ALL)[ALL : ALL + SEGMENT]
+    assert measured(samples, QUIET).accel_noise == pytest.approx(TRUE.accel_noise, rel=2 * SHARE)
+
+
 def test_a_spectrum_never_spans_a_gap() -> None:
     samples = readings(2 * SEGMENT)
     assert measured(samples[: SEGMENT - 1] + samples[SEGMENT : 2 * SEGMENT - 1], QUIET) is QUIET

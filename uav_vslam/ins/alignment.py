@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 MAX_RATE_STD = 0.05  # [rad/s] largest gyroscope noise at rest
 MAX_ACCEL_STD = 0.5  # [m/s^2] largest accelerometer noise at rest
 MOST_FORCE = 2.0  # times gravity, the mean force of a turn at 60 degrees of bank; its inverse is the least
-SIGMA_ORIGIN_M = 1e-3  # position and yaw define the frame, so are known
-SIGMA_YAW_RAD = 1e-3
+SIGMA_ORIGIN_M = 1e-3  # position and heading define the frame, so are known
+SIGMA_HEADING_RAD = 1e-3
 SIGMA_REST = 1e-2  # [m/s]
 
 
@@ -79,6 +79,9 @@ def levelled(
 ) -> NavEstimate:
     """Return a state at the origin, with yaw 0 and with roll and pitch such that `up_body` points up.
 
+    Its heading defines the map: true is what is turned from it about horizontal axes alone. A yaw as angle could not
+    define it, as EuRoC's vehicle has its x axis up.
+
     Args:
         stamp_ns: time of the state [ns].
         up_body: (3,) direction opposite to gravity, any norm.
@@ -91,9 +94,6 @@ def levelled(
     roll, pitch = float(np.arctan2(y, z)), float(-np.arcsin(np.clip(x, -1.0, 1.0)))
     R_map_body = rotation_from_rpy(roll, pitch, 0.0)
     state = NavState(stamp_ns, Pose(R_map_body, np.zeros(3)), R_map_body @ v_body, gyro_bias, np.zeros(3))
-    sigma = np.repeat([SIGMA_ORIGIN_M, sigma_velocity, SIGMA_YAW_RAD, sigma_gyro_bias, sigma_accel_bias], 3)
-    covariance = np.diag(sigma**2)
-    # Yaw is known, not xi_z: a roll error of a pitched vehicle rotates it about a tilted axis.
-    xi_per_tilt = np.array([[np.cos(pitch), 0.0], [0.0, 1.0], [-np.sin(pitch), 0.0]])
-    covariance[6:9, 6:9] += sigma_tilt**2 * xi_per_tilt @ xi_per_tilt.T
-    return NavEstimate(state, covariance)
+    sigma = np.repeat([SIGMA_ORIGIN_M, sigma_velocity, SIGMA_HEADING_RAD, sigma_gyro_bias, sigma_accel_bias], 3)
+    sigma[6:8] = sigma_tilt
+    return NavEstimate(state, np.diag(sigma**2))

@@ -8,6 +8,7 @@ some frequencies is not, and averages out when readings are integrated, so the q
 
 import dataclasses
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,16 +50,24 @@ class WhiteNoise:
             self._segment.clear()
         self._segment.append(sample)
         if len(self._segment) == SEGMENT:
-            self._powers.append(_powers(self._segment))
+            power = _powers(self._segment)
+            if self._powers and (_densities([power]) > NOISE_RATIO * _densities(self._powers)).any():
+                self._powers.clear()  # as when motors start
+            self._powers.append(power)
             self._segment.clear()
             self.imu = self._measured()
 
     def _measured(self) -> ImuConfig:
-        octaves = np.sqrt(np.mean(self._powers, axis=0) / 2.0)  # a density is of both signs of a frequency
-        gyro, accel = octaves.min(axis=0).reshape(2, 3).max(axis=1).tolist()
+        gyro, accel = _densities(self._powers).tolist()
         found, configured = {"gyro_noise": gyro, "accel_noise": accel}, self._configured
         louder = {name: value for name, value in found.items() if value > NOISE_RATIO * getattr(configured, name)}
         return dataclasses.replace(configured, **louder) if louder else configured
+
+
+def _densities(powers: Iterable[Array]) -> Array:
+    """Return (2,) noise densities of gyroscope and accelerometer by the powers of segments, see `_powers`."""
+    octaves = np.sqrt(np.mean(list(powers), axis=0) / 2.0)  # a density is of both signs of a frequency
+    return octaves.min(axis=0).reshape(2, 3).max(axis=1)
 
 
 def octave_means(power: Array, shares: Array) -> Array:

@@ -85,7 +85,7 @@ def _vehicle_result(
     s_slam = Trajectory.from_estimates(own)
     sender = None if alone else member  # packets that nobody can receive are no traffic
     if truth is not None and own and config.start.defines_map:
-        truth = in_start_frame(truth, own[0].stamp_ns, estimate=s_slam)
+        truth = in_start_frame(truth, s_slam)
     return VehicleResult(
         name=track.vehicle,
         truth=truth,

@@ -101,7 +101,7 @@ def fly_in_flight(scenario: Scenario) -> InFlight | None:
     bad = np.flatnonzero((errors[:, 0] >= SETTLED_VELOCITY) | (errors[:, 1] >= SETTLED_TILT_DEG))
     settled = 0 if len(bad) == 0 else int(bad[-1]) + 1
     estimate = Trajectory.from_estimates(track.poses)
-    truth = in_start_frame(true_trajectory(vehicle), first.stamp_ns)
+    truth = in_start_frame(true_trajectory(vehicle), estimate)
     assert truth is not None
     found = nees(estimate, truth)
     assert found is not None
