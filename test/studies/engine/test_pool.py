@@ -13,8 +13,15 @@ def test_one_worker_is_this_process_and_keeps_the_order():
     assert seen == [3, 1, 2]
 
 
-def test_several_workers_do_every_job_once():
-    assert sorted(in_pool(abs, [-1, -2, 3], 2)) == [1, 2, 3]
+def test_several_workers_keep_the_order_though_the_first_job_takes_longest():
+    longest, *others = in_pool(math.factorial, [400_000, 3, 1, 2], 2)
+    assert longest > 1000
+    assert others == [6, 1, 2]
+
+
+def test_a_job_that_fails_ends_all_others_with_its_own_error_alone():
+    with pytest.raises(ValueError, match="negative"):
+        list(in_pool(math.factorial, [3, -1, *[200_000] * 20], 2))
 
 
 def test_pooled_figures():

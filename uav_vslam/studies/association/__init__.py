@@ -26,14 +26,12 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     from uav_vslam.studies.engine.pool import in_pool
     from uav_vslam.studies.engine.scores import FAILURE_RULE, breakdowns
 
-    conditions, methods = list(study.CONDITIONS), tuple(args.methods)
-    jobs = [study.Job(condition, seed, args.frames, methods) for condition in conditions for seed in seeds]
+    methods = tuple(args.methods)
+    jobs = [study.Job(condition, seed, args.frames, methods) for condition in study.CONDITIONS for seed in seeds]
     associated, matched = [], []
     for in_map, in_images in in_pool(study.study_rendered, jobs, args.workers, progress(len(jobs))):
         associated += in_map
         matched += in_images
-    associated.sort(key=lambda one: (conditions.index(one.run.condition), one.run.seed))
-    matched.sort(key=lambda one: conditions.index(one.condition))
     if args.recording:
         associated += study.study_recording(args.recording, args.config, methods, progress)
     rows = study.map_rows(associated) + image_rows(matched)

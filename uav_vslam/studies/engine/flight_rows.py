@@ -37,7 +37,7 @@ def fly_all(
         on_seed: called when a seed is done.
     """
     flown = in_pool(functools.partial(run_seed, methods), seeds, workers, on_seed)
-    return sorted((outcome for found in flown for outcome in found), key=lambda outcome: outcome.seed)
+    return [outcome for found in flown for outcome in found]
 
 
 def flight_rows(methods: Sequence[Method], outcomes: Sequence[Outcome]) -> list[Row]:

@@ -120,10 +120,7 @@ def run_trials(
 ) -> list[Run]:
     """Fly every seed of every trial, a job each, and return the runs in the order of trials, seeds, candidates."""
     jobs = [(trial, seed) for trial in trials for seed in seeds]
-    done: dict[tuple[str, int], list[Run]] = {}
-    for runs in in_pool(run_trial, jobs, workers, on_job):
-        done[runs[0].condition, runs[0].seed] = runs
-    return [run for trial, seed in jobs for run in done[trial.condition, seed]]
+    return [run for runs in in_pool(run_trial, jobs, workers, on_job) for run in runs]
 
 
 def run_trial(job: tuple[Trial, int]) -> list[Run]:

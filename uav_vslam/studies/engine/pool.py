@@ -2,7 +2,6 @@
 """Many independent jobs over a few processes, and the figures pooled over them."""
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
 from typing import TypeVar
 
 import numpy as np
@@ -21,13 +20,15 @@ CONFIDENCE = 0.95  # of the intervals
 def in_pool(
     work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, on_done: Callable[[], None] = lambda: None
 ) -> Iterator[Result]:
-    """Yield the result of each job as it comes; with one worker, jobs run in this process, in order.
+    """Yield the results in the order of the jobs, so that no figure depends on which process is first.
+
+    With one worker, the jobs run in this process.
 
     Args:
         work: a function of a module, so that it can be pickled.
         jobs: its arguments.
         workers: processes.
-        on_done: called when a job is done.
+        on_done: called for each result.
     """
     for result in map(work, jobs) if workers == 1 else _in_processes(work, jobs, workers):
         on_done()
@@ -36,7 +37,8 @@ def in_pool(
 
 def _in_processes(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
     with worker_pool(workers) as pool:
-        for future in as_completed([pool.submit(work, job) for job in jobs]):
+        # Not `pool.map`: after a failure it cancels jobs, which the pool's own thread then can't end.
+        for future in [pool.submit(work, job) for job in jobs]:
             yield future.result()
 
 

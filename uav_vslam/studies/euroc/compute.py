@@ -73,8 +73,7 @@ def run_starts(
     """Fly every filter from every start, a job each, and return the runs in this order."""
     starts = starts_of(flight, config.imu, seeds)
     jobs = [(flight, config, name, start) for name in filters for start in starts]
-    runs = {(run.method, run.start): run for run in in_pool(run_start, jobs, workers, on_run)}
-    return [runs[name, start.name] for name in filters for start in starts]
+    return list(in_pool(run_start, jobs, workers, on_run))
 
 
 def run_start(job: tuple[RecordedFlight, VehicleConfig, str, Start]) -> Run:

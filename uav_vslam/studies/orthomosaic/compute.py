@@ -147,7 +147,7 @@ def _to_level(view: View, ground: Ground) -> Array:
 def mosaic_rows(found: Sequence[Sequence[Measured]]) -> list[Row]:
     """Return a row for each method, over all seeds."""
     groups: dict[tuple[str, str], list[Measured]] = {}
-    for one in sorted((one for seed in found for one in seed), key=lambda one: one.seed):
+    for one in (one for seed in found for one in seed):
         groups.setdefault((one.method, one.condition), []).append(one)
     return [_row(method, condition, runs) for (method, condition), runs in groups.items()]
 

@@ -68,7 +68,6 @@ def run_study(
         for seed in seeds
     ]
     found = [outcome for outcomes in in_pool(fly_seed, jobs, workers, on_seed) for outcome in outcomes]
-    found.sort(key=lambda outcome: outcome.seed)
     rows: list[Row] = []
     series: list[Row] = []
     for level, rendered in ((LANDMARKS, False), (RENDERED, True)):

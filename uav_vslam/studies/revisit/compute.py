@@ -25,7 +25,7 @@ from uav_vslam.vision.frontends import make_frontend
 
 Array = NDArray[np.float64]
 
-LANDMARK, RENDERED = LEVELS = ("landmark", "rendered")
+LANDMARK, RENDERED = "landmark", "rendered"
 FORGETTING = "nothing retained"
 NOISE = LandmarkNoise(missed_share=0.3, lookalike_share=0.05)
 PER_FRAME = 60.0  # landmarks in view, of which some are missed
@@ -132,7 +132,7 @@ def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], N
         loops += found
         for _ in found[0].run.truth.stamps_ns:
             on_frame()
-    return sorted(loops, key=lambda loop: (LEVELS.index(loop.level), loop.run.seed))
+    return loops
 
 
 def fly_loop(job: Job, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:

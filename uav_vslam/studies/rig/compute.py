@@ -80,7 +80,6 @@ def run_study(
     ]
     jobs: list[Job] = [(methods, seed) for seed in seeds for methods in compared]
     outcomes = [outcome for found in in_pool(_fly, jobs, workers, on_flight) for outcome in found]
-    outcomes.sort(key=lambda outcome: outcome.seed)  # sums don't depend on the order of the processes
     flown = {
         method: [outcome for outcome in outcomes if outcome.method == method] for pair in compared for method in pair
     }

@@ -117,7 +117,7 @@ def run_starts(
     """Fly all legs from the starts of every seed, and return the outcomes in the seeds' order."""
     config = dataclasses.replace(config, start=StartConfig(method="given"))
     jobs = [(legs, with_drawn_starts(cut, seed), config, seed) for seed in seeds]
-    return sorted(in_pool(run_seed, jobs, workers, on_run), key=lambda outcome: outcome.seed)
+    return list(in_pool(run_seed, jobs, workers, on_run))
 
 
 def run_seed(job: tuple[list[RecordedFlight], Cut, VehicleConfig, int]) -> Outcome:
