@@ -35,9 +35,9 @@ def gain_plot(heading: str, rows: list[Row]) -> Figure:
         gain.plot([low, high], [line, line], color=LINE_COLOURS[0], linewidth=2.2)
         gain.plot(row["ratio_to_s_slam"], line, "o", color=LINE_COLOURS[0])
         if row["nees_position"] is not None:
-            low, high = (row.get(f"nees_position_{end}") or row["nees_position"] for end in ("low", "high"))
-            colour = LINE_COLOURS[0] if low <= 1.0 else LINE_COLOURS[1]
-            nees.plot([low, high], [line, line], color=colour, linewidth=2.2)
+            ends = [row.get(f"nees_position_{end}") or row["nees_position"] for end in ("low", "high")]
+            colour = LINE_COLOURS[0] if ends[0] <= 1.0 else LINE_COLOURS[1]
+            nees.plot(ends, [line, line], color=colour, linewidth=2.2)
             nees.plot(row["nees_position"], line, "o", color=colour)
             nees.plot(row["nees_position_worst_quarter"], line, "|", color=colour)
         if row["failures"]:
