@@ -92,6 +92,12 @@ def test_targets_are_met_up_to_their_limits(rate: float, size: int, fused: float
     assert [row["met"] for row in table(rows, "Targets")] == met
 
 
+def test_nothing_is_kept_of_a_gain_that_is_none() -> None:
+    rows = radio_rows([make_run(WIDEBAND, 3.0, 3.1), make_run(NARROWBAND, 3.0, 3.5)], 1)
+    assert [row["gain_kept_share"] for row in table(rows, "Modes")] == [None, None]
+    assert table(rows, "Targets")[-1]["met"] == "no"
+
+
 def test_what_was_dropped_is_told_by_reason() -> None:
     runs = [make_run(WIDEBAND, 3.0, 1.0), make_run(NARROWBAND, 3.0, 1.0, budget=2), make_run(NARROWBAND, 3, 1, late=1)]
     wide, narrow = table(radio_rows(runs, 1), "Modes")

@@ -24,7 +24,7 @@ NOTES = {
     "counts in none",
     "ATE": "root mean square over frames, vehicles and seeds, in the common frame without alignment",
     "NEES": "mean over the frames after the 20th, vehicles and seeds",
-    "gain_kept_share": "(s - c) / (s - c of wideband) in pooled ATE",
+    "gain_kept_share": "(s - c) / (s - c of wideband) in pooled ATE; none where wideband gains nothing",
     "sent_bytes_per_s": "serialised packets without the headers of RTPS, UDP and IP, as a vehicle's fusion node counts "
     "them; mean and largest over vehicles and seeds",
     "packet_bytes_max": "payload of the largest packet of any vehicle, from the steps of the same counter; in wideband "
@@ -76,8 +76,9 @@ def radio_rows(runs: Sequence[Run], flights: int) -> list[Row]:
     ended = {mode: {run.seed for run in runs if run.mode == mode} for mode in MODES}
     counted = [run for run in runs if all(run.seed in seeds for seeds in ended.values())]
     rows = {mode: _figures([run for run in counted if run.mode == mode]) for mode in MODES}
+    whole = _gain(rows[WIDEBAND]) or 0.0
     for mode, row in rows.items():
-        row["gain_kept_share"] = ratio(_gain(row), _gain(rows[WIDEBAND]))
+        row["gain_kept_share"] = ratio(_gain(row), whole) if whole > 0.0 else None
         row |= {"failures": flights - len(ended[mode]), "runs": flights}
     by_mode = [{TABLE: "Modes", "method": mode, "condition": "all flights", **row} for mode, row in rows.items()]
     return by_mode + _targets(rows) + _flights(runs)
