@@ -105,6 +105,21 @@ def test_the_worst_row_is_over_all_starts(flight, runs):
         assert row["frames_coasted_worst"] == max(run["frames_coasted"] for run in own)
 
 
+def test_runs_are_pooled_without_scores_that_none_of_them_has(flight, runs):
+    def without_attitude(truth):
+        return dataclasses.replace(truth, quaternions_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (len(truth), 1)))
+
+    def turning(track):
+        angle = np.linspace(0.0, 1.0, len(track))
+        quaternions = np.column_stack([np.cos(angle), np.zeros((len(track), 2)), np.sin(angle)])
+        return dataclasses.replace(track, quaternions_wxyz=quaternions)
+
+    turned = [dataclasses.replace(run, track=turning(run.track)) for run in runs]
+    worst = table_rows(dataclasses.replace(flight, truth=without_attitude(flight.truth)), turned)[0]
+    assert worst["ate_worst_m"] > 0
+    assert [worst[key] for key in ("nees_rotation", "nees_rotation_worst")] == [None, None]
+
+
 def test_the_error_over_time_is_the_distance_from_the_truth(flight, runs):
     curves = error_series(flight, runs)
     later = next(curve for curve in curves if curve["condition"] == "frame 6")

@@ -21,7 +21,7 @@ from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.studies.engine.pool import in_pool, mean
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
-from uav_vslam.studies.engine.score_columns import pooled_scores
+from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 from uav_vslam.studies.euroc.starts import Start, starts_of
 from uav_vslam.types import NS_PER_S
 
@@ -119,13 +119,13 @@ def _worst(method: str, rows: list[Row]) -> Row:
         TABLE: "Worst of all starts",
         "method": method,
         "condition": "all starts",
-        "ate_worst_m": max((row["ate_rms_m"] for row in good), default=None),
-        "ate_mean_m": mean([row["ate_rms_m"] for row in good]),
+        "ate_worst_m": max(values_of(good, "ate_rms_m"), default=None),
+        "ate_mean_m": mean(values_of(good, "ate_rms_m")),
         "frames_coasted_worst": max((row["frames_coasted"] for row in good), default=None),
-        "nees_position": mean([row["nees_position"] for row in good]),
-        "nees_position_worst": max((row["nees_position"] for row in good), default=None),
-        "nees_rotation": mean([row["nees_rotation"] for row in good]),
-        "nees_rotation_worst": max((row["nees_rotation"] for row in good), default=None),
+        "nees_position": mean(values_of(good, "nees_position")),
+        "nees_position_worst": max(values_of(good, "nees_position"), default=None),
+        "nees_rotation": mean(values_of(good, "nees_rotation")),
+        "nees_rotation_worst": max(values_of(good, "nees_rotation"), default=None),
         "restarts": sum(row["restarts"] for row in rows),
         "failures": len(rows) - len(good),
         "runs": len(rows),
