@@ -18,6 +18,7 @@ SETTINGS = (
     Setting("all"),
     Setting("narrow", {"mode": "narrowband"}),
     Setting("nothing arrives", link=LinkConfig(loss=1.0)),
+    Setting("nothing sent", {"mode": "none"}),
     Setting("restarts", restarts=2),
     Setting("sum", {"scheme": "overlay"}),
     Setting("sum, feedback", {"scheme": "overlay", "feedback": True}),
@@ -55,6 +56,7 @@ def test_peers_help_and_nothing_changes_where_nothing_arrives(rows) -> None:
 def test_no_packet_told_more_than_was_known_and_the_narrow_one_is_small(rows) -> None:
     for name in ("all", "narrow", "restarts"):
         assert rows[name]["lambda_excess"] <= 0.0
+    assert rows["nothing sent"]["lambda_excess"] is None
     assert rows["narrow"]["packet_bytes_max"] < 1400
     assert rows["narrow"]["sent_bytes_per_s"] <= 900
     assert rows["all"]["sent_bytes_per_s"] <= 100_000

@@ -131,7 +131,7 @@ def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: O
         return [_failed(scenario, setting, name, str(error)) for name in tracks]
     epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
     fusing_s = time.process_time() - started - monitor.overhead_s
-    shared = {"lambda_excess": monitor.largest - 1.0}
+    shared = {"lambda_excess": monitor.largest - 1.0} if monitor.largest else {}  # without packets, nothing is measured
     if epochs:  # none in a flight that ends before the first
         shared["ms_per_epoch"] = 1e3 * fusing_s / epochs
     outcomes = []

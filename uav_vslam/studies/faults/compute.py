@@ -97,7 +97,7 @@ def _row(flown: Sequence[FaultRun]) -> Row:
         "method": flown[0].method,
         "condition": flown[0].fault,
         "frames": len(reports),
-        "frames_coasted": sum(report.associated == 0 for report in reports),
+        "frames_coasted": sum(report.coasted for report in reports),
         "alarms": ", ".join(f"{subject} {count}" for subject, count in alarms.items()) or "none",
         "recovered_frames": words[0] if words else max(recovered),
         "runs": len(flown),
