@@ -80,7 +80,8 @@ def test_an_asl_folder_is_taken_as_it_is(mav0: Path, tmp_path: Path) -> None:
 
 
 def test_a_setting_reaches_the_runs(bag: Path, tmp_path: Path) -> None:
-    blind = study(bag, tmp_path, "--config", "kagaru", "--set", "backend.max_new_landmarks=0")
+    untracked = "--set", "frontend.method=sift"  # tracks correct the state without landmarks
+    blind = study(bag, tmp_path, "--config", "kagaru", *untracked, "--set", "backend.max_new_landmarks=0")
     assert blind["rows"][1]["frames_coasted"] == FRAMES - 1
 
 

@@ -28,7 +28,7 @@ def flight():
     vehicle = simulate_vehicle(Scenario(frames=FRAMES), 0)
     source = SimulatedSource(vehicle, scatter_landmarks([vehicle]))
     velocities = vehicle.truth.velocity(vehicle.frame_times_s)
-    return searched(source, VehicleConfig().frontend, truth=true_trajectory(vehicle), velocities=velocities)
+    return searched(source, VehicleConfig(), truth=true_trajectory(vehicle), velocities=velocities)
 
 
 @pytest.fixture(scope="module")

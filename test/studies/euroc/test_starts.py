@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_vslam.config import ImuConfig, VehicleConfig
+from uav_vslam.config import ImuConfig, VehicleConfig, load_vehicle
 from uav_vslam.datasets.starts import drawn_start
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
@@ -41,7 +41,7 @@ def vehicle():
 def flight(vehicle):
     velocities = vehicle.truth.velocity(vehicle.frame_times_s)
     source = SimulatedSource(vehicle)
-    return searched(source, VehicleConfig().frontend, truth=true_trajectory(vehicle), velocities=velocities)
+    return searched(source, VehicleConfig(), truth=true_trajectory(vehicle), velocities=velocities)
 
 
 def error_of(estimate, truth):
@@ -114,7 +114,7 @@ def test_images_are_searched_once_and_readings_stay(vehicle, monkeypatch):
     advanced = []
     flight = searched(
         SimulatedSource(vehicle),
-        VehicleConfig().frontend,
+        load_vehicle(None, overrides={"frontend.method": "sift"}),
         truth=true_trajectory(vehicle),
         velocities=np.zeros((TINY.frames, 3)),
         on_frame=lambda: advanced.append(1),
@@ -126,6 +126,31 @@ def test_images_are_searched_once_and_readings_stay(vehicle, monkeypatch):
     assert all(a.stamp_ns <= b.stamp_ns for a, b in zip(flight.events, flight.events[1:], strict=False))
 
 
+def test_the_configured_front_end_searches_with_the_configured_uncertainty_of_the_rig(vehicle):
+    def found(overrides):
+        config, velocities = load_vehicle(None, overrides=overrides), np.zeros((TINY.frames, 3))
+        flight = searched(SimulatedSource(vehicle), config, truth=true_trajectory(vehicle), velocities=velocities)
+        return [event for event in flight.events if isinstance(event, StereoFeatures)]
+
+    assert any((frame.tracks > 0).any() for frame in found({"frontend.method": "klt"}))
+    sift, doubted = {"frontend.method": "sift"}, {"rig.flexing": True, "rig.attitude_sigma_deg": 2.0}
+    assert sum(map(len, found(sift | doubted))) != sum(map(len, found(sift)))  # the epipolar gate is wider
+
+
+def test_a_pair_that_is_refused_shows_nothing_and_the_others_are_searched(vehicle):
+    class Cut(SimulatedSource):
+        """The second left image has lost rows."""
+
+        def iter_events(self):
+            stamp_ns = int(vehicle.frame_stamps_ns[1])
+            for event in super().iter_events():
+                broken = isinstance(event, StereoFrame) and event.stamp_ns == stamp_ns
+                yield dataclasses.replace(event, left=event.left[5:]) if broken else event
+
+    found = searched(Cut(vehicle), VehicleConfig(), truth=true_trajectory(vehicle), velocities=np.zeros((8, 3)))
+    assert [len(e) == 0 for e in found.events if isinstance(e, StereoFeatures)] == [False, True] + 6 * [False]
+
+
 def test_a_recording_without_a_start_is_refused(vehicle):
     @dataclasses.dataclass
     class Nowhere:
@@ -133,4 +158,4 @@ def test_a_recording_without_a_start_is_refused(vehicle):
         initial_state = None
 
     with pytest.raises(UavVslamError, match="initial_state"):
-        searched(Nowhere(), VehicleConfig().frontend, truth=true_trajectory(vehicle), velocities=np.zeros((8, 3)))
+        searched(Nowhere(), VehicleConfig(), truth=true_trajectory(vehicle), velocities=np.zeros((8, 3)))

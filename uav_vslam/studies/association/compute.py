@@ -74,8 +74,8 @@ def study_rendered(job: Job) -> tuple[list["Association"], list[MatcherScore]]:
 def study_recording(
     recording: Path, config_name: str, methods: Sequence[str], progress: Progress
 ) -> list["Association"]:
-    """Associate on a recording with truth."""
-    config = load_vehicle(find_config(config_name))
+    """Associate on a recording with truth; tracks would associate by themselves."""
+    config = load_vehicle(find_config(config_name), overrides={"frontend.method": "sift"})
     found = extracted_recording(recording, None, config, progress)
     return associate_all(recorded_flight(recording.parent.name or "recording", found, config), methods)
 

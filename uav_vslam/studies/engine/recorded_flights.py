@@ -10,19 +10,20 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import FrontendConfig, VehicleConfig
+from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.flight_writer import write_flights
 from uav_vslam.datasets.importing.euroc import read_euroc
 from uav_vslam.datasets.truth import trajectory_of
-from uav_vslam.errors import BagError, UavVslamError
+from uav_vslam.errors import BagError, InvalidMessage, UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.offline.source import FlightSource
 from uav_vslam.studies.engine.study import Progress
 from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures, StereoFrame
-from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.vision.frontend_base import Frontend
+from uav_vslam.vision.frontends import make_frontend
 
 Array = NDArray[np.float64]
 
@@ -77,14 +78,12 @@ def extracted_recording(
                 f"{recording} holds no {flight.vehicle}/ground_truth/odometry, which the study scores against"
             )
         advance = progress(flight.frame_count, "searching images")
-        return searched(
-            flight, config.frontend, truth=trajectory_of(truth), velocities=truth.velocities_world, on_frame=advance
-        )
+        return searched(flight, config, truth=trajectory_of(truth), velocities=truth.velocities_world, on_frame=advance)
 
 
 def searched(
     source: FlightSource,
-    config: FrontendConfig,
+    config: VehicleConfig,
     *,
     truth: Trajectory,
     velocities: Array,
@@ -94,7 +93,7 @@ def searched(
 
     Args:
         source: the recording.
-        config: of the front end.
+        config: whose front end, and uncertainty of the rig, is used.
         truth: true poses.
         velocities: (N, 3) true velocity at each of them [m/s].
         on_frame: called when an image pair is done.
@@ -106,17 +105,25 @@ def searched(
         raise UavVslamError(
             f"{source.vehicle}: the recording has no initial_state, whose covariance starts are drawn from"
         )
-    frontend = StereoFrontend(source.rig, config)
+    frontend = make_frontend(source.rig, config.frontend, config.rig)
 
     def events() -> Iterator[ImuSample | StereoFeatures]:
         for event in source.iter_events():
             if not isinstance(event, StereoFrame):
                 yield event
                 continue
-            yield frontend.process(event)
+            yield features_of(event, frontend)
             on_frame()
 
     return RecordedFlight(source.vehicle, source.rig, source.initial_state, tuple(events()), truth, velocities)
+
+
+def features_of(frame: StereoFrame, frontend: Frontend) -> StereoFeatures:
+    """Search a pair; one that is refused has no points, as in `VehiclePipeline`."""
+    try:
+        return frontend.process(frame)
+    except InvalidMessage:
+        return StereoFeatures.empty(frame.stamp_ns)
 
 
 @contextmanager

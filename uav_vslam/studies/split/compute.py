@@ -15,15 +15,14 @@ from uav_vslam.config import StartConfig, VehicleConfig
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cut_writer import MARGIN_NS
 from uav_vslam.datasets.cutting import WHAT_A_CUT_HIDES, Cut, CutVehicle, with_drawn_starts
-from uav_vslam.errors import InvalidMessage, UavVslamError
+from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import cooperate
 from uav_vslam.offline.result import link_counters
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.studies.engine.pool import in_pool
-from uav_vslam.studies.engine.recorded_flights import RecordedFlight
+from uav_vslam.studies.engine.recorded_flights import RecordedFlight, features_of
 from uav_vslam.types import ImuSample, StereoFeatures, StereoFrame
-from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.frontends import make_frontend
 
 INS, S_SLAM = "INS", "S-SLAM"
@@ -80,7 +79,7 @@ def searched_legs(
             if isinstance(moved, ImuSample):
                 kept.append(moved)
             else:
-                kept.append(_features(frontend, moved))
+                kept.append(features_of(moved, frontend))
                 on_frame()
     return [_leg(flight, vehicle, kept, poses) for vehicle, kept in zip(cut.vehicles, events, strict=True)]
 
@@ -88,14 +87,6 @@ def searched_legs(
 def _belongs(event: ImuSample | StereoFrame, vehicle: CutVehicle) -> bool:
     margin_ns = MARGIN_NS if isinstance(event, ImuSample) else 0
     return vehicle.first_ns - margin_ns <= event.stamp_ns <= vehicle.last_ns + margin_ns
-
-
-def _features(frontend: Frontend, frame: StereoFrame) -> StereoFeatures:
-    """Search a pair; one that is refused has no points, as in `VehiclePipeline`."""
-    try:
-        return frontend.process(frame)
-    except InvalidMessage:
-        return StereoFeatures.empty(frame.stamp_ns)
 
 
 def _leg(
