@@ -58,6 +58,13 @@ def test_a_picture_is_laid_on_the_ground_at_its_scale(tmp_path: Path) -> None:
     assert noise.std() < 10.0
 
 
+@pytest.mark.parametrize("m_per_px", [0.0, -1.0, float("nan"), float("inf"), 1e-6, 1e9])
+def test_a_picture_whose_pixels_have_no_drawable_size_is_refused(tmp_path: Path, m_per_px: float) -> None:
+    cv2.imwrite(str(tmp_path / "ground.png"), np.full((600, 800), 120, np.uint8))
+    with pytest.raises(ConfigError, match="800 x 600 pixels of"):
+        texture_from(str(tmp_path / "ground.png"), 0, image_m_per_px=m_per_px)
+
+
 def test_repeated_pictures_are_not_similar(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "ground.png"), np.full((600, 800), 120, np.uint8))
     texture = texture_from(str(tmp_path / "ground.png"), 0, image_m_per_px=0.05)

@@ -132,7 +132,7 @@ class ImageTexture(Tiled):
             image_m_per_px: size of a picture's pixel on the ground [m].
 
         Raises:
-            ConfigError: a file is not a readable image.
+            ConfigError: a file is not a readable image, or its pixels' size leaves nothing of it.
         """
         super().__init__()
         self._seed = seed
@@ -154,7 +154,7 @@ def texture_from(source: str, seed: int, *, image_m_per_px: float) -> Texture:
     """Return the texture that a scenario names: "grass", an image file or a folder of image files.
 
     Raises:
-        ConfigError: there is no such file, or it holds no image.
+        ConfigError: there is no such file, it holds no image, or its pixels have no size that can be drawn.
     """
     if source == "grass":
         return GrassTexture(seed)
@@ -253,4 +253,11 @@ def _read_grey(path: Path, scale: float) -> Grey:
     if image is None:
         raise ConfigError(f"texture {path} is not a readable image")
     method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=method))
+    try:
+        return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=method))
+    except cv2.error:
+        height, width = image.shape
+        raise ConfigError(
+            f"texture {path} of {width} x {height} pixels of {scale * TEXEL_M:g} m can't be drawn with texels of "
+            f"{TEXEL_M:g} m; give its pixels another size"
+        ) from None
