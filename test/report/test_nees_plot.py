@@ -38,6 +38,13 @@ def test_the_band_holds_95_percent_of_a_consistent_filter_s_values(pair):
         assert axes.get_ylim()[0] < low < high < axes.get_ylim()[1]
 
 
+def test_the_legend_has_a_track_that_only_a_later_vehicle_has(pair):
+    alone = dataclasses.replace(pair.vehicles["uav1"], c_slam=None)
+    figure = nees_plot(dataclasses.replace(pair, vehicles=pair.vehicles | {"uav1": alone}))
+    (legend,) = figure.legends
+    assert {"S-SLAM", "C-SLAM"} <= {text.get_text() for text in legend.get_texts()}
+
+
 def test_an_over_confident_estimate_stays_in_the_picture(pair):
     vehicle = pair.vehicles["uav1"]
     sure = dataclasses.replace(vehicle.s_slam, covariance=1e-6 * vehicle.s_slam.covariance)

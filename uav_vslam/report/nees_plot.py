@@ -35,8 +35,8 @@ def nees_plot(result: FlightResult) -> Figure | None:
     for axes in grid[:, 0]:
         nees_axis(axes)
     figure.suptitle(f"{result.name}: consistency; 1 is expected, above the band over-confident")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    legend = {name: handle for axes in grid[0] for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=5, frameon=False)
     return figure
 
 

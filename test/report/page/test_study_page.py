@@ -55,6 +55,12 @@ def test_pictures_that_are_too_large_are_made_smaller(tmp_path: Path, monkeypatc
     assert write_page([folder], tmp_path / "small.html").stat().st_size < whole - 300_000
 
 
+def test_a_study_of_which_a_part_is_missing_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "study.json").write_text('{"study": "x", "seeds": [1]}')
+    with pytest.raises(UavVslamError, match="lacks git, rows"):
+        write_page([tmp_path])
+
+
 def test_a_study_without_seeds_rows_and_notes_has_a_page(tmp_path: Path) -> None:
     assert "no seeds" in write_page([write_study(study_tree("empty", [], []), tmp_path)]).read_text()
 

@@ -5,6 +5,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.study import Row, tables_of
 from uav_vslam.report.page.flight import read_json
 from uav_vslam.report.page.html import Cell, Markup, section, table, tag
@@ -26,6 +27,8 @@ def study_sections(folder: Path) -> tuple[dict[str, Any], list[Markup]]:
         UavVslamError: the tree is damaged, or a picture is none.
     """
     tree = read_json(folder / STUDY)
+    if missing := [key for key in ("study", "seeds", "git", "rows") if key not in tree]:
+        raise UavVslamError(f"{folder / STUDY} lacks {', '.join(missing)}; run the study again")
     sections = [
         section(f"table-{k}", heading[:1].upper() + heading[1:] or "Results", _table(rows, heading or tree["study"]))
         for k, (heading, rows) in enumerate(tables_of(tree).items(), 1)
