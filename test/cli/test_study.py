@@ -132,6 +132,10 @@ def test_a_flight_that_can_not_be_simulated_is_refused_in_one_line(
         ("filters --speed nan", "'nan' is not a number above 0"),
         ("live --rate 0", "'0' is not a number above 0"),
         ("live --mode telepathy", "invalid choice: 'telepathy'"),
+        ("perturbed --rendered-seeds=-1", "'-1' is not a whole number of at least 0"),
+        ("revisit --frames 1", "'1' is not a whole number of at least 2"),
+        ("filters --runs 0", "'0' is not a whole number of at least 1"),
+        ("features --width 1.5", "'1.5' is not a whole number of at least 64"),
     ],
 )
 def test_a_wrong_value_of_a_study_is_refused_before_it_starts(

@@ -26,6 +26,17 @@ def positive_number(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
 
 
+def whole_number(least: int) -> Callable[[str], int]:
+    """Return the type of an argument that is a whole number of at least so much."""
+
+    def number(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+        return int(text)
+
+    return number
+
+
 class Progress(Protocol):
     """Starts a progress bar, in place of the one before, and returns the function that advances it."""
 

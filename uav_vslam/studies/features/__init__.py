@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "images", nargs="*", metavar="SET", help="a data set's name, a folder of images, or two files with a comma"
     )
     parser.add_argument("--algorithms", nargs="+", metavar="NAME", default=[], help="which (default all)")
-    parser.add_argument("--width", type=int, default=360, help="wider images are shrunk to this [px] (default 360)")
+    parser.add_argument(
+        "--width", type=whole_number(64), default=360, help="wider images are shrunk to this [px] (default 360)"
+    )
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:

@@ -5,14 +5,16 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study, positive_number
+from uav_vslam.studies.engine.study import Findings, Progress, Study, positive_number, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flights of the noise scales."""
-    parser.add_argument("--vehicles", type=int, default=2, help="of each seed, each alone and a run (default 2)")
-    parser.add_argument("--runs", type=int, default=10, help="runs of each noise scale (default 10)")
-    parser.add_argument("--steps", type=int, default=100, help="frames of each of these runs (default 100)")
+    parser.add_argument(
+        "--vehicles", type=whole_number(1), default=2, help="of each seed, each alone and a run (default 2)"
+    )
+    parser.add_argument("--runs", type=whole_number(1), default=10, help="runs of each noise scale (default 10)")
+    parser.add_argument("--steps", type=whole_number(2), default=100, help="frames of each of these runs (default 100)")
     parser.add_argument(
         "--altitude", type=positive_number, default=20.0, help="of the noise scales' flight [m] (default 20)"
     )

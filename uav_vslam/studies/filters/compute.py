@@ -49,8 +49,8 @@ NOTES = {
     f"thesis_uhf is {THESIS_GAMMA:g}, for the thesis takes less than 2, and that of uhf the default",
     "Failures": FAILURE_RULE,
     "Time": "of this process in the back end, median over the frames",
-    "Noise scales": "w1 to w4 as in section 4.7.1, drawn at each of 100 frames 0.14 s apart; 10 px^2 on each "
-    "pixel coordinate, simulated and assumed",
+    "Noise scales": "w1 to w4 as in section 4.7.1, drawn at each frame, 0.14 s apart; 10 px^2 on each pixel "
+    "coordinate, simulated and assumed",
     "SIFT and SURF": "SIFT's table has the thesis's 10 px^2, the default density of landmarks and no wrong match. "
     "SURF's differs as measured on the same rendered images (SURF by mahotas, upright; half of "
     "1280 x 960; two seeds of 6 frames): {points:.2f} times the stereo points, {sigma:.1f} times the pixel noise, "

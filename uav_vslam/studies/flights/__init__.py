@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, whole_number
 
 GRADES = ("adis16480", "consumer")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is flown."""
-    parser.add_argument("--vehicles", type=int, default=2, metavar="N", help="of each flight (default 2)")
+    parser.add_argument("--vehicles", type=whole_number(1), default=2, metavar="N", help="of each flight (default 2)")
     parser.add_argument("--pattern", default="leg", metavar="NAME", help="of the flight path (default leg)")
     parser.add_argument("--rate", type=float, default=7.14, metavar="HZ", help="of the images (default 7.14)")
     parser.add_argument("--contrast", type=float, default=1.0, metavar="C", help="of the ground in them (default 1)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--imu", choices=tuple(IMU_GRADES), default="adis16480", help="grade (default adis16480)")
     parser.add_argument(
         "--rendered-seeds",
-        type=int,
+        type=whole_number(0),
         default=3,
         metavar="N",
         help="also over rendered ground (default 3; 0: none)",

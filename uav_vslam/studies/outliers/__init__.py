@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the number of vehicles."""
-    parser.add_argument("--vehicles", type=int, default=2, help="of each seed, each alone and a run (default 2)")
+    parser.add_argument(
+        "--vehicles", type=whole_number(1), default=2, help="of each seed, each alone and a run (default 2)"
+    )
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, whole_number
 
 RENDERED = 5
 
@@ -13,7 +13,7 @@ RENDERED = 5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the number of rendered flights."""
     text = f"of them also over rendered images; 0: none (default {RENDERED})"
-    parser.add_argument("--rendered-seeds", type=int, default=RENDERED, metavar="N", help=text)
+    parser.add_argument("--rendered-seeds", type=whole_number(0), default=RENDERED, metavar="N", help=text)
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare how many flights are rendered, and how long they are."""
     parser.add_argument(
-        "--rendered-seeds", type=int, default=3, metavar="N", help="how many are rendered too (default 3)"
+        "--rendered-seeds", type=whole_number(0), default=3, metavar="N", help="how many are rendered too (default 3)"
     )
-    parser.add_argument("--frames", type=int, help="of each flight (default: round once, and 0.1 km on)")
+    parser.add_argument("--frames", type=whole_number(2), help="of each flight (default: round once, and 0.1 km on)")
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:

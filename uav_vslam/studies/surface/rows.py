@@ -16,7 +16,7 @@ POSE_KEYS = {
 
 
 def surface_rows(found: Sequence[MappedSeed]) -> list[Row]:
-    """Return a row for each method and kind of poses: means over the seeds, and the worst standing one."""
+    """Return a row for each method and kind of poses: means over the seeds."""
     rows: list[Row] = []
     for method, kind in found[0].surfaces:
         scores = [seed.surfaces[method, kind] for seed in found]
