@@ -180,6 +180,8 @@ def test_settings_are_compared_by_their_full_names() -> None:
         ("config.yaml", "a: [", "is no"),
         ("config.yaml", "3", "is no"),
         ("uav1_frames.csv", "", "is empty"),  # the disk was full
+        ("uav1_frames.csv", "stamp_ns,nis_per_dof\n1,1\n", "has no column band_low"),  # of another version
+        ("uav1_landmarks.csv", "x_m\n1.5\n", "has no column id"),
     ],
 )
 def test_a_damaged_file_is_named(tmp_path: Path, name: str, text: str, message: str) -> None:

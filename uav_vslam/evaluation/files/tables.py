@@ -2,6 +2,7 @@
 """Reads the CSV tables of a results folder back, by column."""
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,18 @@ from uav_vslam.errors import TrajectoryFileError
 Array = NDArray[np.float64]
 
 
-def read_columns(path: Path) -> dict[str, list[str]]:
+class Columns(dict[str, list[str]]):
+    """Cells of each column by its title; asking for one that the file lacks names the file."""
+
+    def __init__(self, columns: Mapping[str, list[str]], path: Path) -> None:
+        super().__init__(columns)
+        self._path = path
+
+    def __missing__(self, title: str) -> list[str]:
+        raise TrajectoryFileError(f"{self._path} has no column {title}; restore or remove the file")
+
+
+def read_columns(path: Path) -> Columns:
     """Return the cells of each column by its title, all of equal length.
 
     Raises:
@@ -30,7 +42,7 @@ def read_columns(path: Path) -> dict[str, list[str]]:
             raise TrajectoryFileError(
                 f"{path}:{number}: {len(row)} cells, but the title has {len(rows[0])}; was the run interrupted?"
             )
-    return {title: [row[k] for row in rows[1:]] for k, title in enumerate(rows[0])}
+    return Columns({title: [row[k] for row in rows[1:]] for k, title in enumerate(rows[0])}, path)
 
 
 def numbers(cells: list[str], path: Path) -> Array:

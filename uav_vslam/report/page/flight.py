@@ -10,11 +10,10 @@ import yaml
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import Tracks, read_results
-from uav_vslam.evaluation.files.tables import read_columns
+from uav_vslam.evaluation.files.tables import Columns, read_columns
 from uav_vslam.types import NS_PER_S
 
 Figures = dict[str, Any]
-Columns = dict[str, list[str]]
 
 TABLES = ("frames", "link", "timing", "landmarks")
 
