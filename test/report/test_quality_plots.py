@@ -40,6 +40,14 @@ def test_without_truth_the_quality_and_the_landmarks_are_drawn(judged, tmp_path)
     assert names == ["plan_view.png", "quality.png", "landmarks.png"]
 
 
+def test_a_flight_without_any_visual_update_is_drawn(judged, tmp_path):
+    vehicle = judged.vehicles["uav1"]
+    dark = tuple(dataclasses.replace(frame, coasted=True, nis=0.0, dof=0) for frame in vehicle.frames)
+    vehicles = {name: dataclasses.replace(vehicle, name=name, frames=dark) for name in ("uav1", "uav2")}
+    flight = dataclasses.replace(judged, vehicles=vehicles)
+    assert "quality.png" in [path.name for path in write_plots(flight, tmp_path)]
+
+
 def test_without_records_neither_is_drawn(blind):
     assert quality_plot(blind) is None
     assert landmark_view(blind) is None

@@ -96,13 +96,16 @@ def clean(axes: Axes) -> None:
 
 
 def plain_log(axes: Axes, which: str) -> None:
-    """Make the "x" or "y" axis logarithmic, with plain tick labels.
+    """Make the "x" or "y" axis logarithmic, with plain tick labels; one without any value above zero stays linear.
 
     They are at 1, 2, 5; over many decades at powers of ten, and over a narrow range evenly spaced.
     """
     axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = axis.get_view_interval()
+    if low <= 0.0:
+        axes.set(**{f"{which}scale": "linear"})
+        return
     subs = (1.0, 2.0, 5.0) if high <= MANY_DECADES * low else (1.0,)
     locator: Locator = AutoLocator() if high <= NARROW * low else LogLocator(subs=subs, numticks=12)
     axis.set_major_locator(locator)

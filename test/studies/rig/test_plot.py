@@ -47,6 +47,12 @@ def test_the_ins_is_a_line_and_no_condition(rows):
     assert set(line.get_xdata()) == {30.0}
 
 
+def test_where_every_run_failed_there_is_no_line_of_the_ins(rows):
+    failed = [{**row, "end_rms_m": None, "nees_position": None} for row in rows]
+    errors, _ = rig_plot(failed).axes
+    assert not [line for line in errors.lines if line.get_color() == STYLES["ins"].colour]
+
+
 def test_a_method_that_failed_everywhere_leaves_a_gap(rows):
     rows[3] |= {"end_rms_m": None, "nees_position": None}
     errors, _ = rig_plot(rows).axes

@@ -36,7 +36,7 @@ def rig_plot(rows: list[Row]) -> Figure:
     for axes, key in ((errors, "end_rms_m"), (nees, "nees_position")):
         _draw(axes, flown, places, key)
         plain_log(axes, "x")
-    for row in ins_rows:
+    for row in (row for row in ins_rows if row["end_rms_m"] is not None):
         errors.axvline(row["end_rms_m"], color=ins.colour, linestyle=ins.dashes, label=ins.label)
     nees.axvline(1.0, color="black", linewidth=0.9, label="consistent")
     errors.set(xlabel="End error, root mean square [m]", yticks=list(places.values()))
