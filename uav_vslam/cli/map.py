@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.no_plots:
         print(f"page: {write_page([folder])}")
     if cells == 0:
-        say("nothing was mapped: no two views show the surface below the cameras")
+        say("nothing was mapped: no pair of views gave a height; the figures above say why")
     return code if cells else max(code, 1)
 
 
