@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from uav_vslam.errors import ConfigError
 from uav_vslam.simulation.landmarks import TWIN_M, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
 
@@ -26,6 +27,12 @@ def test_measurements_are_the_true_projections_with_the_stated_noise() -> None:
     all_residuals = np.concatenate(residuals)
     assert np.std(all_residuals) == pytest.approx(0.7, rel=0.03)
     assert np.abs(all_residuals.mean(axis=0)).max() < 0.05
+
+
+def test_so_low_that_the_cameras_have_no_view_in_common_there_is_nothing_to_scatter() -> None:
+    fleet = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], frames=2, altitude=1.0))
+    with pytest.raises(ConfigError, match="no ground is in view of both cameras from 1 m"):
+        scatter_landmarks(fleet)
 
 
 def test_about_44_landmarks_are_seen_a_frame() -> None:

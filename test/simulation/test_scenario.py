@@ -93,6 +93,13 @@ def test_a_scaled_rig_sees_the_same_rays() -> None:
 
 
 def test_a_wrong_scenario_is_refused() -> None:
-    for wrong in ({"pattern": "spiral"}, {"imu": "toy"}, {"frames": 1}, {"scale": 2.0}, {"contrast": -0.1}):
+    for wrong in (
+        {"pattern": "spiral"},
+        {"imu": "toy"},
+        {"frames": 1},
+        {"scale": 2.0},
+        {"contrast": -0.1},
+        {"frame_rate_hz": 1e12},
+    ):
         with pytest.raises(ConfigError):
             Scenario(**wrong)  # type: ignore[arg-type]

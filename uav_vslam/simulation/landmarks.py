@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.errors import ConfigError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.simulation.scenario import FLEET, Purpose, Scenario, SimulatedVehicle
 from uav_vslam.simulation.terrain import relief_of
@@ -71,6 +72,9 @@ def scatter_landmarks(
         vehicles: the whole fleet of one scenario.
         per_frame: landmarks in view of both cameras on average, in level flight.
         twin_share: share of the landmarks with the same descriptor as another one a few metres away.
+
+    Raises:
+        ConfigError: the vehicles fly so low that no ground is in view of both cameras.
     """
     scenario = vehicles[0].scenario
     rng = scenario.rng(FLEET, Purpose.LANDMARKS)
@@ -128,6 +132,8 @@ def _footprint_m2(scenario: Scenario, rig: StereoRig) -> float:
     u, v = np.meshgrid(np.arange(0, camera.width, step), np.arange(0, camera.height, step))
     points = camera.bearings(np.stack([u.ravel(), v.ravel()], axis=-1)) * scenario.altitude
     both = _inside(rig, rig.project(points)).mean()
+    if both == 0.0:
+        raise ConfigError(f"no ground is in view of both cameras from {scenario.altitude:g} m; fly higher")
     return float(both * camera.width * camera.height * scenario.altitude**2 / (camera.fx * camera.fy))
 
 

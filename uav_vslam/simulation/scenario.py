@@ -84,10 +84,11 @@ class Scenario:
             raise ConfigError(f"scenario pattern {self.pattern!r} is not known; use one of {', '.join(PATTERNS)}")
         if self.imu not in IMU_GRADES:
             raise ConfigError(f"imu grade {self.imu!r} is not known; use one of {', '.join(IMU_GRADES)}")
-        if not (self.frames >= 2 and 1 <= self.vehicles < FLEET and self.frame_rate_hz > 0):
+        fastest_hz = NS_PER_S / IMU_PERIOD_NS
+        if not (self.frames >= 2 and 1 <= self.vehicles < FLEET and 0 < self.frame_rate_hz <= fastest_hz):
             raise ConfigError(
-                f"scenario has {self.frames} frames at {self.frame_rate_hz} Hz and {self.vehicles} vehicles; "
-                f"use 2 or more frames, a positive rate and 1 to {FLEET - 1} vehicles"
+                f"scenario has {self.frames} frames at {self.frame_rate_hz} Hz and {self.vehicles} vehicles; use 2 or "
+                f"more frames, a rate above 0 and up to {fastest_hz:g} Hz, the IMU's, and 1 to {FLEET - 1} vehicles"
             )
         if not 0.05 <= self.scale <= 1.0:
             raise ConfigError(f"scenario scale {self.scale} is not allowed; use 0.05 to 1")
