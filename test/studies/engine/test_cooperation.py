@@ -6,10 +6,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_vslam.config import FusionConfig
+from uav_vslam.config import FusionConfig, VehicleConfig
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.packet import PacketPolicy, make_packet
-from uav_vslam.studies.engine.cooperation import _PacketMonitor
+from uav_vslam.studies.engine.cooperation import Setting, _fused, _PacketMonitor
+from uav_vslam.studies.engine.separate_frames import fly_own_only, with_joints
 from uav_vslam.types import JointInformation, LandmarkPacket
 
 POINTS = [[-10.0, 0.0, 0.0], [20.0, 5.0, 1.0], [0.0, 30.0, -1.0]]
@@ -63,3 +65,15 @@ def test_the_alarm_keeps_ringing_after_honest_packets(joint: JointInformation) -
     for sent in (doubled, joint):
         monitor.on_packet(fusion, in_other_order(sent), 100)
     assert monitor.largest > 1.8
+
+
+def test_a_fusion_that_breaks_down_is_a_failure_of_its_setting_alone() -> None:
+    scenario = Scenario(frames=16)
+    flown = fly_own_only(scenario)
+    nothing_known = {
+        name: with_joints(track, lambda joint: dataclasses.replace(joint, information=0.0 * joint.information))
+        for name, track in flown.tracks.items()
+    }
+    broken = dataclasses.replace(flown, tracks=nothing_known)
+    outcomes = _fused(scenario, Setting("split_ci"), VehicleConfig(imu=scenario.imu_config), broken)
+    assert [outcome.failure for outcome in outcomes] == ["Singular matrix"] * 2

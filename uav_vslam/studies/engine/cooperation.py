@@ -127,7 +127,7 @@ def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: O
     started = time.process_time()
     try:
         fleet = cooperate(_restarted(tracks, setting.restarts), configs, _links(scenario, setting), monitor.on_packet)
-    except UavVslamError as error:
+    except (UavVslamError, np.linalg.LinAlgError) as error:
         return [_failed(scenario, setting, name, str(error)) for name in tracks]
     epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
     fusing_s = time.process_time() - started - monitor.overhead_s
