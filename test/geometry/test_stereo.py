@@ -134,6 +134,14 @@ def test_cameras_of_different_size_are_rejected() -> None:
         dataclasses.replace(rig, right=RIGS["kagaru_half"].right)
 
 
+@pytest.mark.parametrize("forward_m", [-0.5, 0.5])
+def test_a_rig_whose_baseline_is_along_the_optical_axis_is_rejected(forward_m: float) -> None:
+    rig = kagaru_rig()
+    ahead = rig.T_body_left @ Pose(np.eye(3), np.array([0.0, 0.0, forward_m]))
+    with pytest.raises(CalibrationError, match=r"0\.5 m apart along their optical axis"):
+        dataclasses.replace(rig, T_body_right=ahead)
+
+
 @pytest.mark.parametrize("baseline_m", [0.0, 0.5 * MIN_BASELINE_M])
 def test_a_rig_without_baseline_is_rejected(baseline_m: float) -> None:
     rig = RIGS["converging"]

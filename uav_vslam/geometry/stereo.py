@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 SIDES = ("left", "right")  # the cameras, in the order of all pairs
 STEREO_DOF = 4  # coordinates of an observation
 MIN_BASELINE_M = 1e-3
+MIN_SHARE_ACROSS = 1e-3  # of the baseline, across the optical axis: along it, disparity has no direction
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,11 @@ class StereoRig:
         if self.baseline_m < MIN_BASELINE_M:
             raise CalibrationError(
                 f"baseline is {self.baseline_m:.2e} m; check where /tf_static or the calibration places both cameras"
+            )
+        if np.linalg.norm(self.T_right_left.t[:2]) < MIN_SHARE_ACROSS * self.baseline_m:
+            raise CalibrationError(
+                f"the cameras are {self.baseline_m:g} m apart along their optical axis, and none across it; check "
+                "whether /tf_static or the calibration has optical axes: x right, y down, z forward"
             )
 
     @property
