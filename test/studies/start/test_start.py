@@ -36,6 +36,9 @@ def test_flights_that_never_settle_are_not_counted_as_settled() -> None:
     row = _pooled([good, InFlight(0.3, 0.5, math.inf, 3.0, 2.0)], 3)
     assert (row["found"], row["runs"], row["settled"]) == (2, 3, 1)
     assert row["nees_position"] == 2.0
+    assert row["settled_worst_s"] == "never"
+    assert _pooled([good], 3)["settled_worst_s"] == 1.0
+    assert _pooled([good, InFlight(0.3, 0.5, 1.0, math.nan, 2.0)], 3)["nees_position"] == 1.0  # one is too short
     assert _pooled([], 3)["nees_position"] is None
 
 

@@ -29,11 +29,12 @@ SETTLED_VELOCITY = 0.5  # [m/s]
 SETTLED_TILT_DEG = 1.5  # the accelerometer's bias (ADIS16480) alone hides 0.3 degrees per axis until the vehicle turns
 SETTLED_WITHIN_S = 5.0
 WRONG_FRAMES = 36  # the monitor watches five seconds
+NEVER = "never"
 SIGMAS = 10  # of which a wrong start is off, in the scenario's own sigmas
 
 NOTES = {
     "settled": f"from then on velocity is within {SETTLED_VELOCITY} m/s and tilt within {SETTLED_TILT_DEG} degrees of "
-    f"the truth; within {SETTLED_WITHIN_S:g} s counts",
+    f"the truth; within {SETTLED_WITHIN_S:g} s counts; settled_worst_s: {NEVER!r} where one never is",
     "NEES": "of the position in the vehicle's own frame (first frame: origin, yaw 0), later than "
     f"{SETTLED_WITHIN_S:g} s after the start",
     "warned": f"the start monitor warned; a wrong start is {SIGMAS} of its sigmas off in one respect",
@@ -47,7 +48,7 @@ class InFlight:
     Attributes:
         velocity_error, tilt_error_deg: of the start that was found, before the filter [m/s], [deg].
         settled_s: see NOTES; infinite if never.
-        nees_position: see NOTES.
+        nees_position: see NOTES; NaN for a flight that ends before.
         end_error_m: in the vehicle's own frame.
     """
 
@@ -165,12 +166,13 @@ def _errors(vehicle: SimulatedVehicle, state: NavState) -> tuple[float, float]:
 
 def _pooled(runs: list[InFlight], count: int) -> Row:
     """Return the figures of all flights that found a start."""
+    slowest_s = max((run.settled_s for run in runs), default=None)
     return {
         "found": len(runs),
         "runs": count,
         "settled": sum(run.settled_s <= SETTLED_WITHIN_S for run in runs),
-        "settled_worst_s": max((run.settled_s for run in runs), default=None),
-        "nees_position": mean([run.nees_position for run in runs]),
+        "settled_worst_s": NEVER if slowest_s == math.inf else slowest_s,
+        "nees_position": mean([run.nees_position for run in runs if not math.isnan(run.nees_position)]),
         "end_rms_m": rms([run.end_error_m for run in runs]),
         "start_velocity_rms_m_per_s": rms([run.velocity_error for run in runs]),
         "start_tilt_rms_deg": rms([run.tilt_error_deg for run in runs]),
