@@ -295,10 +295,12 @@ def test_points_that_become_landmarks_in_an_update_say_what_they_say_as_landmark
         f.add_landmarks(others[0] if again else np.vstack([others[0], views[:, 0]]))
         f.predict(course.increments[0])
         f.keep_pose()
-        rows, at = np.arange(4), f.nav.T_map_body
+        rows = np.arange(4)
         if again:
             points = Tracks(views, np.ones((8, 2), bool), detected=True)
-            passed = f.update_with_points(points, rows, others[1], at=at, weights=np.ones(4), probability=1.0 - 1e-9)
+            passed = f.update_with_points(
+                points, rows, others[1], at=f.mean, weights=np.ones(4), probability=1.0 - 1e-9
+            )
             assert passed.all()
         else:
             f.update(
@@ -322,9 +324,7 @@ def test_points_whose_views_do_not_fit_are_not_used(course) -> None:
     f.predict(course.increments[0])
     f.keep_pose()
     points = Tracks(views, np.ones((10, 2), bool), detected=True)
-    passed = f.update_with_points(
-        points, NO_ROWS, np.zeros((0, 4)), at=f.nav.T_map_body, weights=np.ones(0), probability=0.9999
-    )
+    passed = f.update_with_points(points, NO_ROWS, np.zeros((0, 4)), at=f.mean, weights=np.ones(0), probability=0.9999)
     np.testing.assert_array_equal(passed, np.arange(10) != 3)
     assert len(f.landmarks) == 9
 

@@ -74,7 +74,7 @@ def test_a_redetection_offset_is_down_weighted(vehicle, increments) -> None:
     """Each feature of the second visit is 1.4 px off the first visit's track, in both images alike."""
     frames = observed(vehicle, scatter_landmarks([vehicle]))
     late = len(frames) - 25
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(4)
     for k, frame in enumerate(frames):
         shift = rng.normal(0.0, 1.0 if k >= late else 0.0, (len(frame), 2)).astype(np.float32)
         frames[k] = dataclasses.replace(frame, pixels=frame.pixels + np.tile(shift, 2))
@@ -89,7 +89,7 @@ def test_a_redetection_offset_is_down_weighted(vehicle, increments) -> None:
 def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> None:
     """Two of a few agree, as they may by chance in the gates that half a metre of uncertainty leaves."""
     field = scatter_landmarks([vehicle])
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(3)
     home = np.linalg.norm(field.points_world[:, :2], axis=1) < HOME_M
     angle, distance = rng.uniform(0.0, 2.0 * np.pi, home.sum()), rng.uniform(0.4, 1.4, home.sum())
     moved = field.points_world.copy()

@@ -336,25 +336,25 @@ class Filter(JointState):
         if at is None or not self._model.invariant:
             return np.zeros(self.belief.size), self._predicted(landmarks, self.belief)
         self._of_tracks = None  # linearised elsewhere, at a pose known to be far off
-        prior = self._move_linearisation(at)
+        prior = self._move_linearisation(self.mean.at(at))
         return prior, self._predicted(landmarks, self._belief_for_regression(landmarks))
 
     def update_with_points(
-        self, points: Tracks, landmarks: Indices, pixels: Array, *, at: Pose, weights: Array, probability: float
+        self, points: Tracks, landmarks: Indices, pixels: Array, *, at: Mean, weights: Array, probability: float
     ) -> Mask:
-        """Update with landmarks and with points that are landmarks from here on, all linearised at a pose.
+        """Update with landmarks and with points that are landmarks from here on, all linearised at other poses.
 
         Args:
             points: T tracks, whose pixels at the past poses include the present one's.
             landmarks, pixels, weights: see `update`.
-            at: T_map_body.
+            at: has the poses, the present one and those past.
             probability: of the chi-square gate of each point's views.
 
         Returns:
             (T,) which have passed: these are appended to the landmarks, the others are not used.
         """
         with stamped(self.nav.stamp_ns):
-            prior = self._move_linearisation(at)
+            prior = self._move_linearisation(dataclasses.replace(self.mean.at(at.nav.T_map_body), past=at.past))
             tracks = self._linearised_tracks(points, self.mean)
             P = submatrix(self.belief.covariance(NO_ROWS), tracks.rows)
             passed, _ = tracks.seen.gated(P, probability, mean=prior[tracks.rows])

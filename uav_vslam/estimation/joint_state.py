@@ -30,7 +30,6 @@ from uav_vslam.estimation.rig_belief import (
     rig_evidence,
 )
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
-from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.numerics import cholesky, submatrix, symmetrise
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate
@@ -242,10 +241,9 @@ class JointState:
         before, self.mean = self.mean, self._chart.retract(self.mean, delta)
         self.belief = self._chart.transported(belief, before, self.mean)
 
-    def _move_linearisation(self, T_map_body: Pose) -> Array:
+    def _move_linearisation(self, to: Mean) -> Array:
         """Move the linearisation point and return the prior mean as an error from it."""
-        prior = self.mean
-        self.mean = prior.at(T_map_body)
+        prior, self.mean = self.mean, to
         self.belief = self._chart.transported(self.belief, prior, self.mean)
         return self._chart.local(self.mean, prior)
 

@@ -5,7 +5,6 @@ Origin and heading are exactly those of the estimated start, so errors and covar
 of positions alone has no heading there; it is turned to where the whole estimate fits it best.
 """
 
-
 from uav_vslam.evaluation.alignment import align_start_pose
 from uav_vslam.evaluation.attitude import lacks_attitude
 from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth

@@ -101,7 +101,7 @@ class LocalMap:
         )
         if tried is not self._filter and innovation.accepted:
             second[innovation.outliers] = False
-            matches = self._second_views.update(matches, second, at=tried.nav.T_map_body, weights=weights)
+            matches = self._second_views.update(matches, second, at=tried.mean, weights=weights)
         return matches, innovation
 
     def _begin(self, features: StereoFeatures) -> None:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.mean import Mean
 from uav_vslam.estimation.observation import MIN_DEPTH_M
 from uav_vslam.estimation.tracks import Tracks
-from uav_vslam.geometry.pose import Pose
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.matches import Matches
 from uav_vslam.types import StereoFeatures
@@ -52,13 +52,13 @@ class SecondViews:
             return np.zeros(len(matches), bool)
         return np.isin(self._map.ids[matches.landmarks], self._ids)
 
-    def update(self, matches: Matches, second: Mask, *, at: Pose, weights: Array) -> Matches:
+    def update(self, matches: Matches, second: Mask, *, at: Mean, weights: Array) -> Matches:
         """Update with a frame's matches, and return those whose landmarks are kept.
 
         Args:
             matches: K of them.
             second: (K,) which are second views.
-            at: T_map_body to linearise at.
+            at: has the poses to linearise at.
             weights: (K,) see `Filter.update`.
         """
         ids, again = self._map.ids[matches.landmarks], matches.landmarks[second]
