@@ -92,6 +92,16 @@ def test_until_the_tilt_is_known_evidence_does_not_count_but_what_was_estimated_
     assert f.nav_estimate().covariance[0, 0] == pytest.approx(doubted, rel=1e-6)
 
 
+def test_evidence_is_awaited_from_when_the_tilt_is_known_until_the_disparity_is_judged(flown) -> None:
+    judge, (f, level), (_, tilted) = DisparityJudge(), started(flown(1)), started(flown(1), 2.0 * LEVEL_RAD)
+    awaited = []
+    for seconds, nav in ((0, tilted), (1, level), (3, level), (5, level)):
+        state = dataclasses.replace(nav.state, stamp_ns=nav.state.stamp_ns + seconds * NS_PER_S)
+        judge.after_update(f, dataclasses.replace(nav, state=state), by_tracks=True)
+        awaited.append(judge.awaits_evidence)
+    assert awaited == [False, True, True, False]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_calibration_far_off_does_not_make_the_state_certain_and_wrong(flown, seed: int) -> None:

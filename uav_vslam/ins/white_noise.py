@@ -3,7 +3,8 @@
 
 An IMU that is noisier than configured, as by vibration, makes gates too narrow and a right calibration look wrong.
 Faster than an aircraft moves there is only noise. White noise is the same in both octaves of that band; vibration at
-some frequencies is not, and averages out when readings are integrated, so the quieter octave counts.
+some frequencies is not, and averages out when readings are integrated, so the quieter octave counts. Noise that begins,
+as when motors start, counts without what was measured before; noise that ends counts until it is forgotten.
 """
 
 import dataclasses
@@ -52,7 +53,7 @@ class WhiteNoise:
         if len(self._segment) == SEGMENT:
             power = _powers(self._segment)
             if self._powers and (_densities([power]) > NOISE_RATIO * _densities(self._powers)).any():
-                self._powers.clear()  # as when motors start
+                self._powers.clear()
             self._powers.append(power)
             self._segment.clear()
             self.imu = self._measured()

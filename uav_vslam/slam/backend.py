@@ -221,7 +221,8 @@ class SlamBackend:
             self._disparity_judge.after_update(self._filter, self._nav, by_tracks=self._window.has_frames)
             self._take_present(outcome, features)
             self._local_map.remove_surplus(self._frame)
-            outcome.rig_evidence = self._filter.rig_evidence()
+            if not self._disparity_judge.awaits_evidence:
+                outcome.rig_evidence = self._filter.rig_evidence()
             outcome.known = max(outcome.known, self._window.followed)
             outcome.recovery = self._health.check(outcome.innovation, features=len(features), known=outcome.known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association

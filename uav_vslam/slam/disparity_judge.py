@@ -65,6 +65,11 @@ class DisparityJudge:
             slam_filter.judge_disparity()
             self._has_judged = True
 
+    @property
+    def awaits_evidence(self) -> bool:
+        """Whether the disparity has been forgotten but not judged yet: what the rest owes to it looks like evidence."""
+        return self._was_tilted and self._level_ns is not None and not (self._has_judged or self._has_ended)
+
     def trusting(self, slam_filter: Filter) -> Filter:
         """Return a filter, or a copy that trusts the calibration as long as that is not judged."""
         if self._has_judged or self._has_ended:
