@@ -354,7 +354,7 @@ class Filter(JointState):
             (T,) which have passed: these are appended to the landmarks, the others are not used.
         """
         with stamped(self.nav.stamp_ns):
-            prior = self._move_linearisation(dataclasses.replace(self.mean.at(at.nav.T_map_body), past=at.past))
+            prior = self._move_linearisation(self.mean.at_poses_of(at))
             tracks = self._linearised_tracks(points, self.mean)
             P = submatrix(self.belief.covariance(NO_ROWS), tracks.rows)
             passed, _ = tracks.seen.gated(P, probability, mean=prior[tracks.rows])

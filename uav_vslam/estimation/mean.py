@@ -55,6 +55,11 @@ class Mean:
         past = self.past.with_newest(self.nav.stamp_ns, R=T_map_body.R, t=T_map_body.t)
         return dataclasses.replace(self, nav=dataclasses.replace(self.nav, T_map_body=T_map_body), past=past)
 
+    def at_poses_of(self, other: Self) -> Self:
+        """Return this mean with the vehicle's present and past poses of another one, of the same times."""
+        nav = dataclasses.replace(self.nav, T_map_body=other.nav.T_map_body)
+        return dataclasses.replace(self, nav=nav, past=other.past)
+
     def without_landmarks(self) -> Self:
         """Return the mean of the vehicle alone."""
         return dataclasses.replace(self, landmarks=np.zeros((0, 3)))

@@ -24,7 +24,7 @@ SIGMA_REST = 1e-2  # [m/s]
 
 
 def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) -> NavEstimate:
-    """Return the state of a vehicle at rest, at the origin and facing east.
+    """Return the state of a vehicle at rest, at the origin; see `levelled`.
 
     Args:
         samples: readings at rest, a second or more.

@@ -66,13 +66,18 @@ class DisparityJudge:
             self._has_judged = True
 
     @property
+    def _is_over(self) -> bool:
+        """Whether the disparity has been judged, or never will be."""
+        return self._has_judged or self._has_ended
+
+    @property
     def awaits_evidence(self) -> bool:
         """Whether the disparity has been forgotten but not judged yet: what the rest owes to it looks like evidence."""
-        return self._was_tilted and self._level_ns is not None and not (self._has_judged or self._has_ended)
+        return self._was_tilted and self._level_ns is not None and not self._is_over
 
     def trusting(self, slam_filter: Filter) -> Filter:
         """Return a filter, or a copy that trusts the calibration as long as that is not judged."""
-        if self._has_judged or self._has_ended:
+        if self._is_over:
             return slam_filter
         trusting = copy.copy(slam_filter)
         _trust(trusting)

@@ -35,7 +35,7 @@ SIGMAS = 10  # of which a wrong start is off, in the scenario's own sigmas
 NOTES = {
     "settled": f"from then on velocity is within {SETTLED_VELOCITY} m/s and tilt within {SETTLED_TILT_DEG} degrees of "
     f"the truth; within {SETTLED_WITHIN_S:g} s counts; settled_worst_s: {NEVER!r} where one never is",
-    "NEES": "of the position in the vehicle's own frame (first frame: origin, yaw 0), later than "
+    "NEES": "of the position in the vehicle's own frame (its first frame defines origin and heading), later than "
     f"{SETTLED_WITHIN_S:g} s after the start",
     "warned": f"the start monitor warned; a wrong start is {SIGMAS} of its sigmas off in one respect",
 }
