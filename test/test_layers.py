@@ -23,6 +23,7 @@ ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
     "numerics": set(),
     "search": set(),
+    "argument_types": {"config"},
     "monitor": set(),  # what is heard of a live fleet
     "memory": set(),
     "processes": {"memory"},
@@ -41,7 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": EARLY | {"datasets"},  # a simulated flight is recorded as a bag
     "evaluation": EARLY | {"estimation"},
     # recorded truth becomes a trajectory, readings move to the body, images show which legs overlap
-    "datasets": EARLY | {"evaluation", "ins", "vision"},
+    "datasets": EARLY | {"evaluation", "ins", "vision", "argument_types"},
     "calibration": EARLY | {"vision", "datasets"},  # image pairs of files and recordings
     "report": {"types", "geometry", "evaluation", "calibration", "monitor"},
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
@@ -50,12 +51,12 @@ ALLOWED: dict[str, set[str]] = {
     "offline": ESTIMATOR | {"pipeline", "fleet", "smoothing", "evaluation", "processes"},
     "studies": ESTIMATOR
     | {"pipeline", "fleet", "offline", "processes", "evaluation", "report"}
-    | {"datasets", "simulation", "calibration", "mapping"},
+    | {"datasets", "simulation", "calibration", "mapping", "argument_types"},
     # the top
     "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping", "processes", "memory", "monitor"},
     "cli": ESTIMATOR
     | {"pipeline", "fleet", "datasets", "inspection", "calibration", "evaluation", "simulation", "report"}
-    | {"overlay", "offline", "mapping", "memory", "monitor"},
+    | {"overlay", "offline", "mapping", "memory", "monitor", "argument_types"},
 }
 # What starts or watches ROS processes may import `ros`.
 ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "cli/mode.py", "cli/monitor.py"}

@@ -6,7 +6,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from uav_vslam.cli.arguments import add_results, positive
+from uav_vslam.argument_types import positive
+from uav_vslam.cli.arguments import add_results
 
 HELP = "measure the speed of each stage"
 EXAMPLES = """examples:

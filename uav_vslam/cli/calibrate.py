@@ -7,7 +7,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import add_results, length_m, positive
+from uav_vslam.argument_types import length_m, positive
+from uav_vslam.cli.arguments import add_results
 from uav_vslam.cli.messages import say, warn_each
 from uav_vslam.cli.progress import progress_bar
 

@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import non_negative
+from uav_vslam.argument_types import non_negative
 from uav_vslam.cli.messages import say, warn
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.datasets.cut_options import CutOptions, add_cut_arguments, cut_options

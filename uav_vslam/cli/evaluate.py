@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import add_results, clock_offset_s, first_given, lengths_m, positive_seconds
+from uav_vslam.argument_types import clock_offset_s, lengths_m, positive_seconds
+from uav_vslam.cli.arguments import add_results, first_given
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.result import FlightResult

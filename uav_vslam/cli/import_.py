@@ -8,7 +8,8 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import first_given, namespace, non_negative, positive_number
+from uav_vslam.argument_types import namespace, non_negative, positive_number
+from uav_vslam.cli.arguments import first_given
 from uav_vslam.cli.messages import warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 

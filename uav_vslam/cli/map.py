@@ -7,7 +7,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import add_datum, datum_of, positive_number
+from uav_vslam.argument_types import positive_number
+from uav_vslam.cli.arguments import add_datum, datum_of
 from uav_vslam.cli.messages import say, warn
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.run import add_options, flown

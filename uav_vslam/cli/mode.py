@@ -3,7 +3,8 @@
 
 import argparse
 
-from uav_vslam.cli.arguments import MODES, namespace, positive_seconds
+from uav_vslam.argument_types import namespace, positive_seconds
+from uav_vslam.cli.arguments import MODES
 
 HELP = "read or switch the communication mode of a flying vehicle"
 EXAMPLES = """examples:

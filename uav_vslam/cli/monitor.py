@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import namespace, positive_seconds
+from uav_vslam.argument_types import namespace, positive_seconds
 
 if TYPE_CHECKING:
     from uav_vslam.monitor import Fleet

@@ -7,7 +7,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import add_results, first_given, positive_number
+from uav_vslam.argument_types import positive_number
+from uav_vslam.cli.arguments import add_results, first_given
 from uav_vslam.cli.messages import warn_each
 from uav_vslam.cli.progress import progress_bar
 

@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import MODES, add_results, positive
+from uav_vslam.argument_types import positive
+from uav_vslam.cli.arguments import MODES, add_results
 from uav_vslam.cli.messages import say, warn, warn_each, warn_of_truth
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.recordings import add_configuration, bags_and_configs, open_flights

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import non_negative
+from uav_vslam.argument_types import non_negative
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import add_results, non_negative, positive
+from uav_vslam.argument_types import non_negative, positive
+from uav_vslam.cli.arguments import add_results
 from uav_vslam.cli.overrides import overrides
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.studies.registry import STUDIES

@@ -4,7 +4,7 @@
 import argparse
 from typing import Any
 
-from uav_vslam.cli.arguments import non_negative, positive_seconds
+from uav_vslam.argument_types import non_negative, positive_seconds
 
 HELP = "list, print or measure live topics"
 EXAMPLES = """examples:

@@ -4,6 +4,7 @@
 import argparse
 from dataclasses import dataclass
 
+from uav_vslam.argument_types import number_above_zero, whole_number
 from uav_vslam.errors import UavVslamError
 
 VEHICLES = 2
@@ -37,18 +38,24 @@ class CutOptions:
 
 def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments that `cut_options` reads."""
-    parser.add_argument("--vehicles", type=_several, metavar="N", help=f"how many (default {VEHICLES})")
+    duration_s = number_above_zero(f"a number of seconds above 0, at most {LONGEST_S:g}", LONGEST_S)
+    parser.add_argument(
+        "--vehicles",
+        type=whole_number(2, "a number of vehicles, 2 or more"),
+        metavar="N",
+        help=f"how many (default {VEHICLES})",
+    )
     parser.add_argument("--legs", type=_spans, metavar="T0-T1,T2-T3", help="by hand [s since the first image]")
-    parser.add_argument("--duration", type=_positive, metavar="S", help="of each leg (default: see below)")
+    parser.add_argument("--duration", type=duration_s, metavar="S", help="of each leg (default: see below)")
     parser.add_argument(
         "--overlap",
-        type=_share,
+        type=number_above_zero("a share above 0, at most 1", 1.0),
         metavar="SHARE",
         help=f"least overlap of legs without --duration, 0 to 1 (default {MIN_OVERLAP})",
     )
     parser.add_argument(
         "--within",
-        type=_positive,
+        type=duration_s,
         default=WITHIN_S,
         metavar="S",
         help=f"vehicles pass a place at most so long after each other (default {WITHIN_S:g})",
@@ -79,28 +86,3 @@ def _spans(text: str) -> tuple[tuple[float, float], ...]:
     if len(spans) < 2 or not all(0.0 <= second <= LONGEST_S for span in spans for second in span):
         raise argparse.ArgumentTypeError(f"{text!r}: {FORM}")
     return spans
-
-
-def _several(text: str) -> int:
-    count = int(text) if text.isdigit() else 0
-    if count < 2:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of vehicles, 2 or more")
-    return count
-
-
-def _positive(text: str) -> float:
-    return _number(text, LONGEST_S, f"a number of seconds above 0, at most {LONGEST_S:g}")
-
-
-def _share(text: str) -> float:
-    return _number(text, 1.0, "a share above 0, at most 1")
-
-
-def _number(text: str, most: float, wanted: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value <= most:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
-    return value

@@ -16,27 +16,6 @@ from uav_vslam.evaluation.study import Row
 from uav_vslam.studies.engine.columns import check_rows
 
 
-def positive_number(text: str) -> float:
-    """Return an argument that is a number above zero."""
-    from uav_vslam.config.settings import Setting
-
-    try:
-        return float(Setting("", above=0.0, kind=float).accepted(text))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
-
-
-def whole_number(least: int) -> Callable[[str], int]:
-    """Return the type of an argument that is a whole number of at least so much."""
-
-    def number(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
-        return int(text)
-
-    return number
-
-
 class Progress(Protocol):
     """Starts a progress bar, in place of the one before, and returns the function that advances it."""
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study, positive_number
+from uav_vslam.argument_types import positive_number
+from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:

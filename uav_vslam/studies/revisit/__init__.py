@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study, whole_number
+from uav_vslam.argument_types import whole_number
+from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Argument types of the command line: texts become numbers, and what is out of bounds is refused.
+
+Imported by `--help`, so nothing heavy here.
+"""
+
+import argparse
+import re
+from collections.abc import Callable
+
+MOST_OFFSET_S = 1e9  # between two clocks, one of which may count from its own start
+
+
+def whole_number(least: int, wanted: str = "") -> Callable[[str], int]:
+    """Return the type of a whole number of at least so much; `wanted` says it in other words."""
+
+    def number(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {wanted or f'a whole number of at least {least}'}")
+        return value
+
+    return number
+
+
+def number_above_zero(wanted: str, most: float = float("inf")) -> Callable[[str], float]:
+    """Return the type of a finite number above zero, up to `most`; `wanted` says what it is."""
+
+    def number(text: str) -> float:
+        value = _number(text)
+        if not 0.0 < value <= most or value == float("inf"):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
+        return value
+
+    return number
+
+
+positive = whole_number(1, "a count of at least 1")
+non_negative = whole_number(0)
+positive_seconds = number_above_zero("a time in seconds above 0")
+length_m = number_above_zero("a length in metres above 0")
+
+
+def lengths_m(text: str) -> tuple[float, ...]:
+    """Return lengths above zero [m], separated by commas."""
+    return tuple(map(length_m, text.split(",")))
+
+
+def clock_offset_s(text: str) -> float:
+    """Return a difference of two clocks [s], of either sign."""
+    offset = _number(text)
+    if not abs(offset) <= MOST_OFFSET_S:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds, of at most {MOST_OFFSET_S:g}")
+    return offset
+
+
+def positive_number(text: str) -> float:
+    """Return a number above zero, of a size whose square neither vanishes nor overflows."""
+    from uav_vslam.config.settings import Setting
+
+    try:
+        return float(Setting("", above=0.0, kind=float).accepted(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
+
+
+def namespace(text: str) -> str:
+    """Return a vehicle's name, which is its ROS namespace: letters, digits and underscores, and no digit first."""
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no ROS namespace: use letters, digits and _, and no digit first")
+    return text
+
+
+def _number(text: str) -> float:
+    """Return a number; NaN, which fails every comparison, for any other text."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
