@@ -4,6 +4,7 @@
 import dataclasses
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, later, missing
@@ -11,11 +12,13 @@ from ros1_frames import repeated_on_tf
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.errors import CalibrationError
 from uav_vslam.inspection.finding import Finding, Severity
 from uav_vslam.inspection.recording import Inspection, inspect_bags
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
-from uav_vslam.studies.recordings.foreign import kalibr_of, renamed, rewritten, without
+from uav_vslam.studies.recordings.foreign import edited, kalibr_of, renamed, rewritten, turned, with_imu_edge, without
 
 pytestmark = pytest.mark.slow
 
@@ -133,6 +136,27 @@ def test_foreign_topics_are_judged_as_well_and_the_block_makes_the_recording_usa
     again = inspected(bag, load_vehicle(config))
     assert faults(again.findings) == []
     assert again.block == ""
+
+
+def test_a_body_of_another_name_is_found_from_the_sensors_frames(clean: Path, tmp_path: Path) -> None:
+    """Drivers of depth cameras name it camera_link."""
+
+    def renamed_body(transforms: Any) -> Any:
+        for stamped in transforms.transforms:
+            stamped.header.frame_id = stamped.header.frame_id.replace("uav1/base_link", "camera_link")
+        return transforms
+
+    changes = [edited("/tf_static", lambda sent: renamed_body(with_imu_edge(sent))), edited(IMU, turned)]
+    bag = rewritten(clean, tmp_path / "bag", *changes)
+    with pytest.raises(CalibrationError, match=r"; input\.frames\.base: camera_link is connected with all$"):
+        open_flight(bag, "uav1")
+    found = inspected(bag)
+    (only,) = faults(found.findings)
+    assert only.subject == "body frame"
+    assert any(finding.subject == "scale" for finding in found.findings)
+    config = tmp_path / "mine.yaml"
+    config.write_text(found.block)
+    assert faults(inspected(bag, load_vehicle(config)).findings) == []
 
 
 def test_constant_frames_on_tf_are_no_fault_and_moving_ones_are(clean: Path, tmp_path: Path) -> None:

@@ -50,6 +50,19 @@ RECORDINGS = {
             "imu": "/zed/zed_node/imu/data_raw",
         },
     ),
+    "zed, rectified": (
+        recorded(
+            images=[
+                f"/zed/{name}" for name in ("right/image_rect_color", "left/image_rect_color", "rgb/image_rect_color")
+            ],
+            imus=["/zed/imu/data"],
+        ),
+        {"left": "/zed/left/image_rect_color", "right": "/zed/right/image_rect_color", "imu": "/zed/imu/data"},
+    ),
+    "tumvi": (
+        recorded(images=["/cam1/image_raw", "/cam0/image_raw"], imus=["/imu0"], poses=["/vrpn_client/raw_transform"]),
+        {"left": "/cam0/image_raw", "right": "/cam1/image_raw", "imu": "/imu0", "truth": "/vrpn_client/raw_transform"},
+    ),
 }
 
 
@@ -104,5 +117,7 @@ def test_a_second_imu_of_a_vehicle_is_no_vehicle() -> None:
     names = ["/uav1/mavros/imu/data_raw", "/uav1/imu/data_raw", "/fleet/uav2/imu/data_raw"]
     topics = recorded(images=["/uav1/left/image_raw", "/fleet/uav2/left/image_raw"], imus=names)
     assert vehicles_of(topics, InputConfig()) == ["fleet/uav2", "uav1"]
+    driver = recorded(images=["/zed/zed_node/left/image_rect"], imus=["/zed/zed_node/imu/data_raw"])
+    assert vehicles_of(driver, InputConfig()) == ["uav1"]
     inner = recorded(images=["/uav1/left/image_raw", "/uav1/payload/left/image_raw"])
     assert vehicles_of(inner, InputConfig()) == ["uav1", "uav1/payload"]

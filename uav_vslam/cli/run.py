@@ -210,7 +210,7 @@ def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: I
     if nested := next((name for name in names if "/" in name), ""):
         raise ConfigError(
             f"the namespace {nested} has several levels, but results are named by vehicle: name its topics from "
-            f"the root instead, as in --set input.topics.left=/{nested}/{config.topics.left}"
+            f"the root instead, as in --set input.topics.left={config.topic(nested, 'left')}"
         )
     if len(set(names)) < len(names):
         raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")

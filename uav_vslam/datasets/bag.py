@@ -70,7 +70,8 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
         rig, T_body_imu = setup.rig(), setup.T_body_imu()
         initial_state = _initial_state(bags, setup)
     except CalibrationError as error:
-        raise CalibrationError(f"bag {names_of(bags)}, vehicle {name}: {error}") from None
+        remedy = f"; input.frames.base: {setup.likely_base} is connected with all" if setup.likely_base else ""
+        raise CalibrationError(f"bag {names_of(bags)}, vehicle {name}: {error}{remedy}") from None
     return BagFlight(
         paths=bags,
         vehicle=name,

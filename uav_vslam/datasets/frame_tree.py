@@ -49,6 +49,13 @@ class FrameTree:
         """Return whether `find` would succeed."""
         return self._root(base)[0] == self._root(frame)[0]
 
+    def body_of(self, frames: Iterable[str]) -> str:
+        """Return the frame that sensors are mounted on: a base_link above them, or their root; empty if it has none."""
+        roots = {self._root(frame)[0] for frame in frames}
+        tree = sorted({parent for parent, _ in self._parents.values() if {self._root(parent)[0]} == roots})
+        called_so = (frame for frame in tree if frame.rsplit("/", 1)[-1] == "base_link")
+        return next(called_so, roots.pop() if tree else "")
+
     def find(self, base: str, frame: str) -> Pose:
         """Return T_base_frame.
 

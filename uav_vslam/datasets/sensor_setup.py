@@ -98,6 +98,12 @@ class SensorSetup:
         """Return what /tf_static still has to connect, in words."""
         return self._unconnected(self._unplaced_frames())
 
+    @property
+    def likely_base(self) -> str:
+        """The frame to name as the body where /tf_static connects all sensors, but not with the body; else empty."""
+        base, frames = self.config.base_frame(self.vehicle), self._unplaced_frames()
+        return "" if any(self.frames.connected(base, frame) for frame in frames) else self.frames.body_of(frames)
+
     def camera(self, index: int) -> PinholeCamera:
         """Return the intrinsics of a camera, 0 for the left one.
 

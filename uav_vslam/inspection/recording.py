@@ -98,13 +98,19 @@ def inspect_bags(
     foreign = _is_foreign(to_set)
     used = _with_noise(_with_topics(config, to_set))
     survey = survey_flight(paths, vehicle, used.input, on_message=on_message)
+    base = survey.setup.likely_base
+    if base:
+        used = replaced(used, {"input.frames.base": base}, where="guessed body")
+        survey.input = survey.setup.config = used.input
     found = inspect(survey, used)
+    if base:
+        found.findings.insert(0, topics.other_body(config.input.base_frame(vehicle), base))
     if foreign:
         found.findings.insert(0, topics.foreign(config.input.topic(vehicle, "left"), guess))
     if found.usable:
         found.findings += _refused(paths, vehicle, used)
     noise = recommended(found.noise)
-    found.block = topics.configuration_block(to_set, guess, noise, start_method=found.start_method)
+    found.block = topics.configuration_block(to_set, guess, noise, base=base, start_method=found.start_method)
     found.block_of = vehicle if foreign and vehicle != DEFAULT_VEHICLE else ""
     return survey, found
 

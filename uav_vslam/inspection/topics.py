@@ -18,8 +18,8 @@ from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 
 WORD_PAIRS = (("left", "right"), ("Left", "Right"), ("_l", "_r"), ("front", "back"), ("front", "rear"))
-NO_CAMERA = ("depth", "disparity", "mask", "label", "rect_color")  # images that are not a camera's
-TRUTH_WORDS = ("truth", "gt", "vicon", "mocap", "optitrack", "leica", "prism", "rtk")
+NO_CAMERA = ("depth", "disparity", "mask", "label")  # images that are not a camera's
+TRUTH_WORDS = ("truth", "gt", "vicon", "mocap", "optitrack", "vrpn", "leica", "prism", "rtk")
 IMU_WORDS = ("raw", "imu", "data")
 
 
@@ -51,7 +51,8 @@ class Guess:
 def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[str]:
     """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does.
 
-    A namespace without images inside another one is part of that vehicle, as in /uav1/mavros/imu/data_raw.
+    A namespace without images inside another one is part of that vehicle, as in /uav1/mavros/imu/data_raw; one of
+    several levels is that of a driver, as in /zed/zed_node/imu/data_raw.
     """
     if config.topics.left.startswith("/"):
         return [DEFAULT_VEHICLE]
@@ -61,7 +62,8 @@ def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[st
     sides = {name for side in SIDES for name in image_names(getattr(config.topics, side))}
     seeing = {name for name in found if any(f"/{name}/{images}" in topics for images in sides)}
     parts = {name for name in found - seeing for other in found if name.startswith(f"{other}/")}
-    return sorted(found - parts - {""}) or [DEFAULT_VEHICLE]
+    drivers = {name for name in found - seeing if "/" in name}
+    return sorted(found - parts - drivers - {""}) or [DEFAULT_VEHICLE]
 
 
 def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
@@ -97,7 +99,7 @@ def topics_to_set(recorded: Mapping[str, TopicInfo], guess: Guess, vehicle: str,
 
 
 def configuration_block(
-    to_set: Mapping[str, str], guess: Guess, noise: Mapping[str, float], *, start_method: str = ""
+    to_set: Mapping[str, str], guess: Guess, noise: Mapping[str, float], *, base: str = "", start_method: str = ""
 ) -> str:
     """Return a configuration to paste, as text; empty if nothing is to be set.
 
@@ -105,11 +107,16 @@ def configuration_block(
         to_set: topics by role.
         guess: other candidates, named in comments.
         noise: settings of the IMU by name ("imu.gyro_noise").
+        base: value of input.frames.base; empty to leave it.
         start_method: value of start.method; empty to leave it.
     """
     lines = []
+    if to_set or base:
+        lines.append("    input:")
+    if base:
+        lines += ["      frames:", f"        base: {base}"]
     if to_set:
-        lines += ["    input:", "      topics:"]
+        lines.append("      topics:")
     for role, topic in to_set.items():
         others = ", ".join(guess.alternatives(role))
         lines.append(f"        {role}: {topic}{f'  # or {others}' if others else ''}")
@@ -176,6 +183,12 @@ def foreign(name: str, guess: Guess) -> Finding:
     if others:
         seen += f"; also possible: {', '.join(f'{left} with {right}' for left, right in others)}"
     return error("topic names", seen, "the configured names", "put the block below into a configuration")
+
+
+def other_body(name: str, base: str) -> Finding:
+    """Return the error that /tf_static has no body of the configured name; the likeliest frame is the body instead."""
+    seen = f"{TF_STATIC} has no {name}; judged with {base} as the body, which it connects with all sensors"
+    return error("body frame", seen, "the configured name", "put the block below into a configuration")
 
 
 def check_frames(survey: Survey) -> list[Finding]:

@@ -64,7 +64,7 @@ class RigListener:
             return ""
         if sides := self._setup.missing_infos:
             return f"there is no valid camera_info of the {' and the '.join(sides)} camera"
-        return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; {PUBLISH}"
+        return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; {PUBLISH}{_likely_base(self._setup)}"
 
     def left_frame(self, of_images: str) -> str:
         """Return the frame of the left camera; where nothing else names it, that of its images."""
@@ -141,6 +141,11 @@ class RigListener:
             raise InvalidMessage("calibration", str(error)) from None
         self._node.get_logger().info(f"rig complete: baseline {rig.baseline_m:.3f} m")
         return rig
+
+
+def _likely_base(setup: SensorSetup) -> str:
+    """Return the setting that names the body, to follow `PUBLISH`; empty where none of the frames would do."""
+    return f".base: {setup.likely_base}" if setup.likely_base else ""
 
 
 def _valid_edges(node: VehicleNode, message: TFMessage) -> list[Edge]:
@@ -281,7 +286,7 @@ class ImuListener:
         if missing:
             self._node.notes[MISSING] = f"/tf_static has no {missing}"
             too_many = len(self._waiting) > MAX_WAITING
-            text = f"/tf_static has no {missing}, the IMU's frame; {PUBLISH}"
+            text = f"/tf_static has no {missing}, the IMU's frame; {PUBLISH}{_likely_base(self._setup)}"
             if too_many or self._waiting[-1].stamp_ns - self._waiting[0].stamp_ns > LATE_S * NS_PER_S:
                 self._node.report_failure(MISSING, text)
             if too_many:
