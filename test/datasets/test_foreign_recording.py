@@ -16,9 +16,11 @@ from uav_vslam.config.input import FramesConfig, TopicsConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.datasets.cdr import RawMessage, decode, encode, message
 from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.studies.recordings.foreign import (
     FOREIGN_TOPICS,
     UPSIDE_DOWN,
+    Change,
     edited,
     kalibr_of,
     renamed,
@@ -128,21 +130,28 @@ def test_constant_frames_on_tf_stand_for_those_of_tf_static(tiny_bag: Path, tmp_
         open_flight(repeated_on_tf(tiny_bag, tmp_path / "moving", moving="uav1/right_optical"), "uav1")
 
 
-def test_rectified_images_have_the_rig_of_p_and_r(tiny_bag: Path, tmp_path: Path) -> None:
-    raw = open_flight(tiny_bag, "uav1").rig
-    size = raw.left.width, raw.left.height
-    T = raw.T_right_left
+def rectified_infos(raw: StereoRig, frames: Sequence[str] = ("", "")) -> tuple[list[Change], Any, Any, Any]:
+    """Return changes that give camera_info R and P of the rectified pair, and other frames; and R_left and both P."""
+    size, T = (raw.left.width, raw.left.height), raw.T_right_left
     R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
         raw.left.K, raw.left.distortion, raw.right.K, raw.right.distortion, size, T.R, T.t
     )
 
-    def told(R: Any, P: Any) -> Any:
-        return lambda info: dataclasses.replace(info, r=R.ravel(), p=P.ravel())
+    def told(R: Any, P: Any, frame: str) -> Any:
+        def tell(info: Any) -> Any:
+            info.header.frame_id = frame or info.header.frame_id
+            return dataclasses.replace(info, r=R.ravel(), p=P.ravel())
 
-    changes = [
-        edited("/uav1/left/camera_info", told(R_left, P_left)),
-        edited("/uav1/right/camera_info", told(R_right, P_right)),
-    ]
+        return tell
+
+    pairs = zip(("left", "right"), (R_left, R_right), (P_left, P_right), frames, strict=True)
+    changes = [edited(f"/uav1/{side}/camera_info", told(*numbers)) for side, *numbers in pairs]
+    return changes, R_left, P_left, P_right
+
+
+def test_rectified_images_have_the_rig_of_p_and_r(tiny_bag: Path, tmp_path: Path) -> None:
+    raw = open_flight(tiny_bag, "uav1").rig
+    changes, R_left, P_left, P_right = rectified_infos(raw)
     bag = rewritten(tiny_bag, tmp_path / "bag", *changes)
     rig = open_flight(bag, "uav1", InputConfig(rectified=True)).rig
     np.testing.assert_allclose(rig.left.K, P_left[:, :3])
@@ -152,6 +161,29 @@ def test_rectified_images_have_the_rig_of_p_and_r(tiny_bag: Path, tmp_path: Path
     assert_points = np.array([[1.0, 2.0, 40.0], [-3.0, 0.5, 70.0]])  # in the body both rigs see the same directions
     left = rig.T_body_left.inverse().apply(raw.T_body_left.apply(assert_points))
     np.testing.assert_allclose(left, assert_points @ R_left.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("rectified", [False, True])
+def test_cameras_with_one_frame_are_apart_as_p_says(rectified: bool, tiny_bag: Path, tmp_path: Path) -> None:
+    """Drivers of stereo cameras give both the left one's frame."""
+    raw = open_flight(tiny_bag, "uav1").rig
+    changes = rectified_infos(raw, frames=("uav1/left_optical", "uav1/left_optical"))[0]
+    apart = rewritten(tiny_bag, tmp_path / "apart", *rectified_infos(raw)[0])
+    together = rewritten(tiny_bag, tmp_path / "together", *changes)
+    expected, found = (open_flight(bag, "uav1", InputConfig(rectified=rectified)).rig for bag in (apart, together))
+    np.testing.assert_allclose(found.T_body_right.matrix, expected.T_body_right.matrix, atol=1e-9)
+
+
+def test_cameras_with_one_frame_and_no_baseline_are_refused(tiny_bag: Path, tmp_path: Path) -> None:
+    def left(info: Any) -> Any:
+        info.header.frame_id = "uav1/left_optical"
+        return info
+
+    bag = rewritten(tiny_bag, tmp_path / "bag", edited("/uav1/right/camera_info", left))
+    with pytest.raises(
+        CalibrationError, match=r"both cameras have the frame 'uav1/left_optical'.*frames\.right"
+    ):
+        open_flight(bag, "uav1")
 
 
 def test_an_imu_without_a_frame_is_noticed(tiny_bag: Path, tmp_path: Path) -> None:

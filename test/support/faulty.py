@@ -293,6 +293,10 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
         lambda: [baseline(0.0)],
         [("error", "rig", ("baseline is 0", "/tf_static"))],
     ),
+    "baseline of another rig in P": (
+        lambda: [edited(INFOS[1], lambda info: dataclasses.replace(info, p=info.p - 0.05 * info.k[4] * np.eye(12)[7]))],
+        [("warning", "baseline", ("by P of camera_info", "the former is used"))],
+    ),
     "baseline in millimetres": (
         lambda: [baseline(1000.0)],
         [("error", "baseline", ("baseline 776", "in millimetres: 0.776 m"))],

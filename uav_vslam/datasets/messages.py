@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.camera_calibration import is_rotation
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -238,6 +239,18 @@ def rectified_camera_of(info: Any) -> tuple[PinholeCamera, Pose]:
         raise CalibrationError("R of camera_info is no rotation; is it filled in? Or leave out input.rectified")
     camera = _recorded_part(info, PinholeCamera(info.width, info.height, fx, fy, cx, cy))
     return camera, Pose(R_rectified_cam.T, np.zeros(3))
+
+
+def T_pair_cam_of(info: Any, *, rectified: bool) -> Pose | None:
+    """Return the pose of the images of a CameraInfo in the rectified frame of their stereo pair; None if P has none.
+
+    P = K' [I | t], where t leads from the pair's frame, the rectified left one, to this camera.
+    """
+    P = np.asarray(info.p, dtype=float).reshape(3, 4)
+    if not (P[0, 0] > 0 and P[1, 1] > 0 and np.isfinite(P).all()):
+        return None
+    R_pair_cam = np.eye(3) if rectified else np.asarray(info.r, dtype=float).reshape(3, 3)
+    return Pose(R_pair_cam, -np.array([P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0.0])) if is_rotation(R_pair_cam) else None
 
 
 def imu_of(built: Any) -> ImuSample:

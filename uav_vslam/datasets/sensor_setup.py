@@ -14,11 +14,11 @@ from uav_vslam.config import InputConfig, VehicleConfig, differences, replaced
 from uav_vslam.datasets.calibration_files import read_calibration
 from uav_vslam.datasets.camera_calibration import Calibration
 from uav_vslam.datasets.frame_tree import SAME_PLACE, FrameTree
-from uav_vslam.datasets.messages import camera_of, rectified_camera_of
+from uav_vslam.datasets.messages import T_pair_cam_of, camera_of, rectified_camera_of
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.stereo import SIDES, StereoRig
+from uav_vslam.geometry.stereo import MIN_BASELINE_M, SIDES, StereoRig
 from uav_vslam.types import NS_PER_S
 
 
@@ -40,6 +40,7 @@ class SensorSetup:
     files: Calibration
     frames: FrameTree = field(default_factory=FrameTree)
     cameras: dict[str, tuple[PinholeCamera, str]] = field(default_factory=dict)
+    _T_pair_cam: dict[str, Pose | None] = field(default_factory=dict)  # as P and R of camera_info place the cameras
     _T_cam_images: dict[str, Pose] = field(default_factory=dict)  # axes of the images, if they are rectified
     imu_frame: str | None = None
 
@@ -62,6 +63,7 @@ class SensorSetup:
             camera, self._T_cam_images[side] = rectified_camera_of(info)
         else:
             camera = camera_of(info)
+        self._T_pair_cam[side] = T_pair_cam_of(info, rectified=self.config.rectified)
         self.cameras[side] = camera, info.header.frame_id
 
     @property
@@ -122,9 +124,26 @@ class SensorSetup:
         Raises:
             CalibrationError: a camera is unknown or not connected to the body, or the cameras contradict each other.
         """
+        if self.shares_frame and self.T_left_right_of_infos is None:
+            raise CalibrationError(
+                f"both cameras have the frame {self.camera_frame('left')!r}, and P of camera_info no baseline: "
+                "name the right one's by input.frames.right, or give a file with input.calibration"
+            )
         left, right = (self.camera(k) for k in range(len(SIDES)))
         T_body_left, T_body_right = (self._T_body_cam(k) for k in range(len(SIDES)))
         return StereoRig(left, right, T_body_left, T_body_right)
+
+    @property
+    def T_left_right_of_infos(self) -> Pose | None:
+        """Pose of the right camera in the left one as P of their camera_info has it; None if that has no baseline."""
+        left, right = (self._T_pair_cam.get(side) for side in SIDES)
+        T_left_right = left.inverse() @ right if left is not None and right is not None else None
+        return T_left_right if T_left_right and np.linalg.norm(T_left_right.t) >= MIN_BASELINE_M else None
+
+    @property
+    def shares_frame(self) -> bool:
+        """Whether both cameras have one frame, the left one's, as stereo drivers set it: P has the baseline."""
+        return not self._in_files(1) and self.camera_frame("left") == self.camera_frame("right")
 
     def T_body_imu(self) -> Pose:
         """Return the pose of the IMU: of the files, or of its frame, which is the body's if it has no name.
@@ -251,6 +270,8 @@ class SensorSetup:
             return self._T_body_files() @ known
         if index > 0 and T_left_right is not None:
             return self._T_body_cam(0) @ T_left_right
+        if index > 0 and self.shares_frame and self.T_left_right_of_infos is not None:
+            return self._T_body_cam(0) @ self.T_left_right_of_infos
         T_body_cam = self.frames.find(self.config.base_frame(self.vehicle), self.camera_frame(SIDES[index]))
         return T_body_cam @ self._T_cam_images.get(SIDES[index], Pose.identity())
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
@@ -65,6 +66,18 @@ def check_rig(rig: StereoRig) -> list[Finding]:
         allowed = f"axes at most {limits.VIEW_ANGLE_DEG:g} deg apart, so that the views overlap"
         found.append(warning("camera axes", seen, allowed, remedy))
     return found or [ok("baseline", seen)]
+
+
+def check_baseline_of_infos(rig: StereoRig, T_left_right: Pose | None) -> list[Finding]:
+    """Check that the rig's baseline is the one in P of camera_info, which may be None."""
+    if T_left_right is None:
+        return []
+    told_m = float(np.linalg.norm(T_left_right.t))
+    if abs(told_m / rig.baseline_m - 1.0) <= limits.BASELINE_SHARE:
+        return []
+    seen = f"{rig.baseline_m:.4f} m by the places of the frames, {told_m:.4f} m by P of camera_info"
+    remedy = "the former is used: correct the one that is wrong, as distances scale with it"
+    return [warning("baseline", seen, f"one baseline, within {100 * limits.BASELINE_SHARE:g} %", remedy)]
 
 
 def check_images(

@@ -43,6 +43,7 @@ FISHEYE_FIELD_DEG = 10.0, 200.0
 PIXEL_ASPECT = 0.8, 1.25  # fx / fy; pixels of usual sensors are square
 CENTRE_SHARE = 0.25, 0.75  # principal point over image size
 BASELINE_M = 0.01, 5.0  # between finger's breadth and wing span; in millimetres it is 1000 times more
+BASELINE_SHARE = 0.02  # between the baselines of two sources; a nominal one is within 1 % of the calibrated one
 VIEW_ANGLE_DEG = 45.0  # between the optical axes: beyond it, views of usual lenses do not overlap
 ALONG_AXIS_SHARE = 0.7  # of the baseline along the optical axis: such cameras stand behind each other
 MIN_MATCHES = 30  # stereo matches over all sampled pairs; fewer say nothing about the geometry

@@ -193,6 +193,7 @@ def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
             found.findings.append(error("rig", str(refused), "two cameras apart, of one size", cameras.CALIBRATE))
         return None
     found.findings += cameras.check_rig(rig)
+    found.findings += cameras.check_baseline_of_infos(rig, survey.setup.T_left_right_of_infos)
     return rig
 
 

@@ -209,6 +209,9 @@ def check_frames(survey: Survey) -> list[Finding]:
     if survey.imu and setup.imu_unnamed:
         remedy = "set input.frames.imu if it is elsewhere"
         found.append(warning("IMU frame", "header.frame_id is empty, so the IMU counts as the body", "a name", remedy))
+    if setup.shares_frame and setup.T_left_right_of_infos is not None:
+        seen = f"both cameras have {setup.camera_frame('left')}: P of camera_info places the right one"
+        found.append(ok("frames", seen))
     if setup.frames.borrowed:
         seen = f"{TF} alone places {', '.join(sorted(setup.frames.borrowed))}, where they never move"
         found.append(ok("frames", seen))
