@@ -180,9 +180,7 @@ def test_cameras_with_one_frame_and_no_baseline_are_refused(tiny_bag: Path, tmp_
         return info
 
     bag = rewritten(tiny_bag, tmp_path / "bag", edited("/uav1/right/camera_info", left))
-    with pytest.raises(
-        CalibrationError, match=r"both cameras have the frame 'uav1/left_optical'.*frames\.right"
-    ):
+    with pytest.raises(CalibrationError, match=r"both cameras have the frame 'uav1/left_optical'.*frames\.right"):
         open_flight(bag, "uav1")
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, later, missing
 from ros1_frames import repeated_on_tf
@@ -13,6 +14,7 @@ from ros1_frames import repeated_on_tf
 from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.cdr import RawMessage
 from uav_vslam.errors import CalibrationError
 from uav_vslam.inspection.finding import Finding, Severity
 from uav_vslam.inspection.recording import Inspection, inspect_bags
@@ -154,6 +156,28 @@ def test_a_body_of_another_name_is_found_from_the_sensors_frames(clean: Path, tm
     (only,) = faults(found.findings)
     assert only.subject == "body frame"
     assert any(finding.subject == "scale" for finding in found.findings)
+    config = tmp_path / "mine.yaml"
+    config.write_text(found.block)
+    assert faults(inspected(bag, load_vehicle(config)).findings) == []
+
+
+def test_rectified_images_with_the_lens_of_raw_ones_are_named(clean: Path, tmp_path: Path) -> None:
+    """By drivers that publish both with the camera_info of the raw ones."""
+
+    def rectified(raw: RawMessage) -> RawMessage:
+        return dataclasses.replace(raw, topic=raw.topic.replace("image_raw", "image_rect"))
+
+    def bent(info: Any) -> Any:
+        return dataclasses.replace(info, d=np.array([-0.1, 0.05, 0.0, 0.0, 0.0]))
+
+    named = rewritten(clean, tmp_path / "named", rectified)
+    topics = {f"input.topics.{side}": f"{side}/image_rect" for side in ("left", "right")}
+    assert faults(inspected(named, load_vehicle(None, overrides=topics)).findings) == []
+    bag = rewritten(named, tmp_path / "bag", *(edited(topic, bent) for topic in INFOS))
+    (warning,) = open_flight(bag, "uav1", load_vehicle(None, overrides=topics).input).warnings
+    assert "/uav1/left/image_rect is rectified by its name" in warning
+    found = inspected(bag)
+    assert "rectified images" in {finding.subject for finding in faults(found.findings)}
     config = tmp_path / "mine.yaml"
     config.write_text(found.block)
     assert faults(inspected(bag, load_vehicle(config)).findings) == []

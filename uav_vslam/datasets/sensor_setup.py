@@ -134,6 +134,19 @@ class SensorSetup:
         return StereoRig(left, right, T_body_left, T_body_right)
 
     @property
+    def rectified_twice(self) -> str:
+        """Why points would be undistorted that are so already, by their topics' names; empty if they would not."""
+        for index, side in enumerate(SIDES):
+            topic, unknown = self.config.topic(self.vehicle, side), side in self.missing_infos
+            named_so = any(word.startswith("rect") for word in topic.rsplit("/", 1)[-1].split("_"))
+            if unknown or self.config.rectified or not named_so:
+                continue
+            if self.camera(index).distortion.any():
+                remedy = "give files of rectified images" if self.files.cameras else "set input.rectified: true"
+                return f"{topic} is rectified by its name, and the calibration has lens distortion: {remedy}"
+        return ""
+
+    @property
     def T_left_right_of_infos(self) -> Pose | None:
         """Pose of the right camera in the left one as P of their camera_info has it; None if that has no baseline."""
         left, right = (self._T_pair_cam.get(side) for side in SIDES)

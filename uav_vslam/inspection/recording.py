@@ -99,6 +99,7 @@ def inspect_bags(
     used = _with_noise(_with_topics(config, to_set))
     survey = survey_flight(paths, vehicle, used.input, on_message=on_message)
     base = survey.setup.likely_base
+    rectified = bool(survey.setup.rectified_twice and not survey.setup.files.cameras)
     if base:
         used = replaced(used, {"input.frames.base": base}, where="guessed body")
         survey.input = survey.setup.config = used.input
@@ -110,7 +111,9 @@ def inspect_bags(
     if found.usable:
         found.findings += _refused(paths, vehicle, used)
     noise = recommended(found.noise)
-    found.block = topics.configuration_block(to_set, guess, noise, base=base, start_method=found.start_method)
+    found.block = topics.configuration_block(
+        to_set, guess, noise, base=base, rectified=rectified, start_method=found.start_method
+    )
     found.block_of = vehicle if foreign and vehicle != DEFAULT_VEHICLE else ""
     return survey, found
 
@@ -169,6 +172,8 @@ def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
     """Judge calibration and images; return the rig if there is one."""
     if text := survey.setup.files.unequal_clocks:
         found.findings.append(warning("clocks of the cameras", text, "one clock", "see the text"))
+    if text := survey.setup.rectified_twice:
+        found.findings.append(warning("rectified images", text, "images as they were calibrated", "see the text"))
     for text in survey.setup.frames.faults:
         found.findings.append(warning("frames", text, "unit quaternions, finite places", "it is left out"))
     for text in dict.fromkeys(survey.problems):

@@ -99,7 +99,13 @@ def topics_to_set(recorded: Mapping[str, TopicInfo], guess: Guess, vehicle: str,
 
 
 def configuration_block(
-    to_set: Mapping[str, str], guess: Guess, noise: Mapping[str, float], *, base: str = "", start_method: str = ""
+    to_set: Mapping[str, str],
+    guess: Guess,
+    noise: Mapping[str, float],
+    *,
+    base: str = "",
+    rectified: bool = False,
+    start_method: str = "",
 ) -> str:
     """Return a configuration to paste, as text; empty if nothing is to be set.
 
@@ -108,11 +114,14 @@ def configuration_block(
         guess: other candidates, named in comments.
         noise: settings of the IMU by name ("imu.gyro_noise").
         base: value of input.frames.base; empty to leave it.
+        rectified: whether to set input.rectified.
         start_method: value of start.method; empty to leave it.
     """
     lines = []
-    if to_set or base:
+    if to_set or base or rectified:
         lines.append("    input:")
+    if rectified:
+        lines.append("      rectified: true")
     if base:
         lines += ["      frames:", f"        base: {base}"]
     if to_set:
