@@ -20,7 +20,7 @@ from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.saved_map import save_map
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.types import ImuSample, StereoFeatures
+from uav_vslam.types import ImuSample, StereoFeatures, StereoFrame
 
 IN_FLIGHT = StartConfig(method="in_flight")
 FRAMES = 14
@@ -100,6 +100,19 @@ def test_a_failed_in_flight_initialisation_says_why(source: SimulatedSource) -> 
     dark = dataclasses.replace(source, features=blind)
     with pytest.raises(UavVslamError, match=rf"none of {FRAMES} frames allowed a start in flight; the last: of 0"):
         track_vehicle(dark, config(source, IN_FLIGHT))
+
+
+def test_a_failed_in_flight_initialisation_says_what_is_wrong_with_the_images(source: SimulatedSource) -> None:
+    class Dark(SimulatedSource):
+        def iter_events(self) -> Iterator[Any]:
+            black = np.zeros((self.rig.left.height, self.rig.left.width), np.uint8)
+            for event in super().iter_events():
+                yield event if isinstance(event, ImuSample) else StereoFrame(event.stamp_ns, black, black)
+
+    with pytest.raises(
+        UavVslamError, match=r"a start in flight; frame 1: the left camera shows nothing .*; the last: "
+    ):
+        track_vehicle(Dark(source.simulated, source.field), config(source, IN_FLIGHT))
 
 
 @pytest.mark.parametrize("readings", ["not finite", "absent"])

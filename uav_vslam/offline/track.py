@@ -81,9 +81,10 @@ class VehicleFlight:
         except BagError as error:
             self.track.broken = str(error)
         if self._pipeline.missing_start:
+            noticed = "".join(f"{text}; " for text in self.track.warnings)  # what is missing may follow from it
             raise UavVslamError(
                 f"{self.track.vehicle}: none of {self.track.frames_in} frames allowed a start in flight; "
-                f"the last: {self._pipeline.missing_start}"
+                f"{noticed}the last: {self._pipeline.missing_start}"
             )
         _count_unpaired(self._source, self.track)
         _check_measured(self.track)
