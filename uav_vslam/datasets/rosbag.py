@@ -30,7 +30,7 @@ PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 URI = re.compile(r"[#?]|%[0-9a-fA-F]{2}")  # what SQLite, which rosbags gives a URI, takes for more than a name
 FOREIGN_REMEDY = "give one with the profile ros2 and all messages in CDR, as `ros2 bag record -s mcap` writes it"
 MERGE = "`sqlite3 %s 'PRAGMA wal_checkpoint(TRUNCATE)'` moves them into it"
-DATA_SETS = ("mav0", "cam0", "image_0")  # folders inside of EuRoC's and KITTI's
+DATA_SETS = ("mav0", "cam0", "image_0", "image_00")  # folders inside of EuRoC's and KITTI's
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,6 +40,7 @@ from uav_vslam.types import NS_PER_S
 Array = NDArray[np.float64]
 
 GREY, COLOUR = (0, 1), (2, 3)  # left and right camera
+RAW_IMAGES = "image_0?/data"  # below a raw drive
 T_FLU_OPTICAL = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
 POSE_GAP_NS = 500_000_000  # poses come at 10 Hz
 SETTINGS = {  # of a car on a road, with a baseline of 0.54 m
@@ -86,6 +87,11 @@ def read_kitti(
         CalibrationError: calib.txt lacks something.
     """
     problems = problems or Problems()
+    if not (sequence / "calib.txt").exists() and any(sequence.glob(RAW_IMAGES)):
+        raise BagError(
+            f"{sequence} is a raw drive; give the sequence of the odometry benchmark that was made of it, sequences/NN "
+            "with calib.txt, times.txt and image_0, and the drive's IMU by --oxts"
+        )
     cameras = COLOUR if colour or not (sequence / "image_0").is_dir() else GREY
     calibration = _read_calibration(sequence / "calib.txt", problems)
     relative_ns = _times(sequence / "times.txt")
