@@ -63,7 +63,10 @@ def unlike_gravity(force: float, imu: ImuConfig) -> str:
     """Return what is wrong with the mean specific force of a start [m/s^2]; empty if it may be a vehicle's."""
     if imu.gravity / MOST_FORCE < force < imu.gravity * MOST_FORCE:
         return ""
-    return f"the accelerometer measures {force:.3g} m/s^2, where gravity is {imu.gravity:.3g}: check its unit and scale"
+    return (
+        f"the accelerometer measures {force:.3g} m/s^2, where gravity is {imu.gravity:.3g}: check its unit and scale, "
+        "and that it is on the topic of the gyroscope"
+    )
 
 
 def levelled(
