@@ -15,7 +15,9 @@ from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.cdr import RawMessage
+from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.inspection.finding import Finding, Severity
 from uav_vslam.inspection.recording import Inspection, inspect_bags
 from uav_vslam.simulation.recording import record
@@ -148,6 +150,10 @@ def test_a_body_of_another_name_is_found_from_the_sensors_frames(clean: Path, tm
             stamped.header.frame_id = stamped.header.frame_id.replace("uav1/base_link", "camera_link")
         return transforms
 
+    def with_lidar(transforms: Any) -> Any:
+        extra = transforms_message(0, [("uav1/base_link", "lidar", Pose.identity())])
+        return dataclasses.replace(transforms, transforms=[*transforms.transforms, *extra.transforms])
+
     changes = [edited("/tf_static", lambda sent: renamed_body(with_imu_edge(sent))), edited(IMU, turned)]
     bag = rewritten(clean, tmp_path / "bag", *changes)
     with pytest.raises(CalibrationError, match=r"; input\.frames\.base: camera_link is connected with all$"):
@@ -159,6 +165,10 @@ def test_a_body_of_another_name_is_found_from_the_sensors_frames(clean: Path, tm
     config = tmp_path / "mine.yaml"
     config.write_text(found.block)
     assert faults(inspected(bag, load_vehicle(config)).findings) == []
+    there = edited("/tf_static", lambda sent: with_lidar(sent))
+    apart = inspected(rewritten(bag, tmp_path / "apart", there))  # a body that only lacks the edge to these sensors
+    assert {"camera frames", "IMU frame"} <= {finding.subject for finding in faults(apart.findings)}
+    assert "base" not in apart.block
 
 
 def test_rectified_images_with_the_lens_of_raw_ones_are_named(clean: Path, tmp_path: Path) -> None:

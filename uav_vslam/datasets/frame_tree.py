@@ -45,12 +45,17 @@ class FrameTree:
                 self._parents[child] = parent, pose
                 self.borrowed.add(child)
 
+    def __contains__(self, frame: str) -> bool:
+        """Return whether any edge has a frame."""
+        frame = frame.lstrip("/")
+        return frame in self._parents or any(frame == parent for parent, _ in self._parents.values())
+
     def connected(self, base: str, frame: str) -> bool:
         """Return whether `find` would succeed."""
         return self._root(base)[0] == self._root(frame)[0]
 
     def body_of(self, frames: Iterable[str]) -> str:
-        """Return the frame that sensors are mounted on: a base_link above them, or their root; empty if it has none."""
+        """Return the frame that sensors are mounted on: the base_link of their tree, or its root; empty without one."""
         roots = {self._root(frame)[0] for frame in frames}
         tree = sorted({parent for parent, _ in self._parents.values() if {self._root(parent)[0]} == roots})
         called_so = (frame for frame in tree if frame.rsplit("/", 1)[-1] == "base_link")

@@ -102,9 +102,9 @@ class SensorSetup:
 
     @property
     def likely_base(self) -> str:
-        """The frame to name as the body where /tf_static connects all sensors, but not with the body; else empty."""
+        """The frame to name as the body where /tf_static connects all sensors, but has no such body; else empty."""
         base, frames = self.config.base_frame(self.vehicle), self._unplaced_frames()
-        return "" if any(self.frames.connected(base, frame) for frame in frames) else self.frames.body_of(frames)
+        return "" if base in self.frames or base in frames else self.frames.body_of(frames)
 
     def camera(self, index: int) -> PinholeCamera:
         """Return the intrinsics of a camera, 0 for the left one.
