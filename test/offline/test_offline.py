@@ -115,6 +115,15 @@ def test_a_failed_in_flight_initialisation_says_what_is_wrong_with_the_images(so
         track_vehicle(Dark(source.simulated, source.field), config(source, IN_FLIGHT))
 
 
+def test_a_start_in_flight_without_any_pair_says_that_no_image_has_a_partner(source: SimulatedSource) -> None:
+    class Unpaired(SimulatedSource):
+        def iter_events(self) -> Iterator[Any]:
+            return (event for event in super().iter_events() if isinstance(event, ImuSample))
+
+    with pytest.raises(UavVslamError, match=rf"none of {FRAMES} frames was processed: unpaired {FRAMES}"):
+        track_vehicle(Unpaired(source.simulated, source.field), config(source, IN_FLIGHT))
+
+
 @pytest.mark.parametrize("readings", ["not finite", "absent"])
 def test_a_flight_without_any_usable_imu_reading_is_no_result(source: SimulatedSource, readings: str) -> None:
     class Deaf(SimulatedSource):

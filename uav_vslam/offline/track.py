@@ -80,7 +80,7 @@ class VehicleFlight:
             yield from self._pipeline.run(self._source.iter_events())
         except BagError as error:
             self.track.broken = str(error)
-        if self._pipeline.missing_start:
+        if self._pipeline.missing_start and (self.track.frames_in or self.track.broken):
             noticed = "".join(f"{text}; " for text in self.track.warnings)  # what is missing may follow from it
             raise UavVslamError(
                 f"{self.track.vehicle}: none of {self.track.frames_in} frames allowed a start in flight; "
