@@ -108,6 +108,25 @@ def test_what_left_follows_a_correction_of_what_stayed(make_joint) -> None:
     assert np.linalg.norm(after - before, axis=1).min() > 10 * SIGMA_M
 
 
+def test_a_landmark_that_comes_back_is_no_longer_remembered(make_joint) -> None:
+    """As a tracked point does that was in one belief, and not in the next: a packet with it twice would be refused."""
+    filter_ = Kept(3)
+    everything, staying = list(range(COUNT)), [k for k in range(COUNT) if k not in LEAVING]
+    filter_.measure(everything)
+    memory, shared = LandmarkMemory(capacity=10), [100 + k for k in LEAVING]
+    memory.extended(filter_.joint(make_joint, everything), shared)
+    memory.extended(filter_.joint(make_joint, staying), shared)
+    back, gone = LEAVING
+    filter_.measure([*staying, back])
+    extended = memory.extended(filter_.joint(make_joint, [*staying, back]), shared)
+    assert extended.ids.tolist() == [100 + k for k in [*staying, back, gone]]
+    both = landmark_rows(POSE_DIM, np.array(LEAVING))
+    wanted = np.linalg.inv(filter_.Y)[np.ix_(both, both)]
+    np.testing.assert_allclose(covariance_of(extended, shared), wanted, rtol=0, atol=0.1 * SIGMA_M**2)
+    again = memory.extended(filter_.joint(make_joint, staying), shared)
+    assert sorted(again.ids.tolist()) == [100 + k for k in everything]
+
+
 def test_remembering_adds_no_information_on_the_state(make_joint) -> None:
     filter_ = Kept(0)
     filter_.measure(list(range(COUNT)))

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shared landmarks that were removed from the filter's state, kept so that a peer's information on them is not lost.
 
-A removed landmark is not measured again. What remains is its position relative to the landmarks that stay, which hardly
-changes: g = A x + e, with e treated as independent of all later errors. (The part of e that is correlated with pose and
-biases is neglected: a fraction of one measurement's error if many landmarks stay.) So the own belief at any later time
-and this conditional form the joint belief over both; in information form they add:
+A removed landmark is not measured again, unless it is a point still tracked, which may come back and is then no longer
+remembered. What remains is its position relative to the landmarks that stay, which hardly changes: g = A x + e, with e
+treated as independent of all later errors. (The part of e that is correlated with pose and biases is neglected: a
+fraction of one measurement's error if many landmarks stay.) So the own belief at any later time and this conditional
+form the joint belief over both; in information form they add:
 
     Y(x, g) = Y_own(x) + [A^T C^-1 A   -A^T C^-1]      C = cov(e)
                          [ -C^-1 A        C^-1  ]
@@ -84,11 +85,13 @@ class LandmarkMemory:
     def _remember(
         self, last: JointInformation, joint: JointInformation, shared: Collection[int], offered: Collection[int]
     ) -> None:
-        """Condition the removed and the remembered landmarks on those that stay."""
-        stay, old = np.isin(last.ids, joint.ids), ~np.isin(last.ids, self._own)
-        left = ~old & ~stay & np.isin(last.ids, np.fromiter({*shared, *offered}, np.uint32))
-        given_left = self._known is not None and not np.isin(self._known.given, joint.ids).all()
-        if not left.any() and not given_left:
+        """Condition the removed and the remembered landmarks on those in the state, where some have come back."""
+        stay, own = np.isin(last.ids, joint.ids), np.isin(last.ids, self._own)
+        old = ~own & ~stay
+        left = own & ~stay & np.isin(last.ids, np.fromiter({*shared, *offered}, np.uint32))
+        known = self._known
+        fits = known is None or (np.isin(known.given, joint.ids).all() and not np.isin(known.ids, joint.ids).any())
+        if fits and not left.any():
             return
         wanted = self._spread(last, np.flatnonzero(old | left), shared)
         if not stay.any() or len(wanted) == 0:  # the filter was re-initialised: no correlation with the past
