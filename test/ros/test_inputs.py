@@ -71,6 +71,18 @@ def test_an_input_that_wants_what_was_published_before_it_does_without_if_nobody
     assert spin_until(listener, lambda: bool(received), lambda: plain.publish(String(data="start")))
 
 
+def test_an_input_takes_what_was_latched_before_it_came_though_it_did_not_ask(listener):
+    """As a driver may publish its camera_info: once, for late joiners."""
+    received = []
+    latched = listener.create_publisher(String, "latched_info", LATCHED)
+    latched.publish(String(data="earlier"))
+    one = make_input(listener, "latched_info", received)
+    assert spin_until(listener, lambda: one.follow(listener))
+    assert spin_until(listener, lambda: bool(received))
+    assert not one.follow(listener)
+    listener.destroy_publisher(latched)
+
+
 @pytest.mark.parametrize("qos", [LATCHED, LATCHED_BY_MANY])
 def test_an_input_keeps_what_a_latched_publisher_offers(listener, qos):
     received = []

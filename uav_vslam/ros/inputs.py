@@ -4,7 +4,8 @@
 Camera and IMU drivers often publish best effort, which a reliable subscription never matches; a best-effort one loses
 messages of a reliable publisher. So an input starts reliable and switches if only best effort is offered, in flight
 too, as a driver that replaces another may offer less. Likewise it asks for what was published before it came, and does
-without if nobody offers that. An input that two nodes publish at once is not used.
+without if nobody offers that; one that does not ask does if nothing comes, as of a latched camera_info. An input that
+two nodes publish at once is not used.
 """
 
 import copy
@@ -74,14 +75,17 @@ class Input:
         self._create(node, qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def follow(self, node: Node) -> bool:
-        """Resubscribe with less if nothing better is offered; return whether it did."""
-        if self.subscription.get_publisher_count():
+        """Resubscribe with less if nothing better is offered, with what was latched if nothing came; return whether."""
+        matched, durability = self.subscription.get_publisher_count() > 0, self.qos.durability
+        if matched and (self.received or durability != DurabilityPolicy.VOLATILE):
             return False
         published = node.get_publishers_info_by_topic(self.subscription.topic_name)
         offers = [info.qos_profile for info in published if info.topic_type == type_name(self.message_type)]
         if not offers:
             return False
-        reliability, durability = self.qos.reliability, self.qos.durability
+        reliability = self.qos.reliability
+        if matched and all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers):
+            durability = DurabilityPolicy.TRANSIENT_LOCAL
         if all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
             reliability = ReliabilityPolicy.BEST_EFFORT
         # Of many latched publishers, others may come later: they would not be received any more.
