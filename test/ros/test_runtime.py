@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from uav_vslam.config.nodes import NODES
 from uav_vslam.ros.command import find_executable
 from waiting import wait_for
 
@@ -128,6 +129,21 @@ def test_what_ros_refuses_is_one_line_too(run: Run, arguments: list[str], said: 
     assert done.stderr.startswith("uav_vslam: ")
     assert said in done.stderr
     assert ".c:" not in done.stderr
+
+
+def test_an_argument_that_is_none_of_ros_is_refused_and_not_ignored() -> None:
+    command = [*find_executable("slam_backend"), "-p", "backend.sigma_px:=0.5", "--ros-args", "-r", "__ns:=/uav1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    said = "uav_vslam: unknown argument -p: those of ROS follow --ros-args (--help)\n"
+    assert (done.returncode, done.stderr) == (2, said)
+
+
+@pytest.mark.parametrize("name", [*NODES])
+def test_help_names_the_arguments_and_the_topics(name: str) -> None:
+    done = subprocess.run([*find_executable(name), "--help"], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    usage, _, about, *_ = done.stdout.splitlines()
+    assert (usage.startswith("usage: "), about.startswith(f"{name}: ")) == (True, True)
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ class Recording:
             BagError: a bag is missing, unreadable, or lacks a topic that a vehicle needs.
         """
         if not paths:
-            raise BagError("no recording to replay; set the parameter bags, or give --bag")
+            raise BagError("no recording to replay; set the parameter bags (uav-vslam launch: --bag)")
         self._paths, known = tuple(paths), topics_of(paths)
         self._finding_start = frozenset(finding_start)
         inputs = dict(inputs or {})

@@ -5,6 +5,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import rclpy
@@ -14,6 +15,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from uav_vslam.errors import ConfigError, UavVslamError, one_line
 from uav_vslam.memory import keep_freed_memory
@@ -34,8 +36,8 @@ def run_node(
 ) -> int:
     """Initialise ROS, spin one node until SIGINT, SIGTERM or SIGHUP, and shut down; return the exit code.
 
-    A node may end itself by raising SystemExit in a callback, and may set an `exit_code` while it is destroyed. An
-    error of ours is one line and exit code 2.
+    With --help, print what the node's module says instead. A node may end itself by raising SystemExit in a callback,
+    and may set an `exit_code` while it is destroyed. An error of ours is one line and exit code 2.
 
     Args:
         factory: makes the node.
@@ -43,6 +45,9 @@ def run_node(
         shared_memory: whether it may use it, for images; see `transport`.
         executor_type: which executor spins it.
     """
+    if args is None and {"-h", "--help"} & set(sys.argv):
+        print(_help(factory))
+        return 0
     keep_freed_memory()
     cv2.setNumThreads(1)  # several nodes share the cores, and results must not depend on their number
     stopping = False
@@ -78,6 +83,14 @@ def run_node(
     return int(getattr(node, "exit_code", 0))
 
 
+def _help(factory: Callable[[], Node]) -> str:
+    return (
+        f"usage: {Path(sys.argv[0]).name} --ros-args [-r __ns:=/VEHICLE] [--params-file FILE.yaml] [-p NAME:=VALUE] "
+        f"[-r TOPIC:=OTHER]\n\n{(sys.modules[factory.__module__].__doc__ or '').strip()}\n\n"
+        "parameters: docs/reference/parameters.md"
+    )
+
+
 def _made(factory: Callable[[], Node]) -> Node:
     """Make the node.
 
@@ -99,7 +112,8 @@ def _initialise(args: list[str] | None) -> None:
     """Initialise ROS.
 
     Raises:
-        ConfigError: an argument or a parameter file can't be parsed, logs can't be kept, or there is no such domain.
+        ConfigError: an argument is unknown, it or a parameter file can't be parsed, logs can't be kept, or there is no
+            such domain.
     """
     check_domain(None)
     rcl = rclpy.logging.get_logger("rcl")
@@ -111,3 +125,6 @@ def _initialise(args: list[str] | None) -> None:
         text = re.sub(r"(, at \S+\.c\w*:\d+|\s)+", lambda found: " " if found[0].isspace() else "", str(error))
         raise ConfigError(f"{text.strip()}; correct the command line or the file that it names") from None
     rcl.set_level(LoggingSeverity.UNSET)
+    others = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
+    if others:
+        raise ConfigError(f"unknown argument {others[0]}: those of ROS follow --ros-args (--help)")
