@@ -17,6 +17,7 @@ from uav_vslam.ins.increments import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.slam.frame_output import FrameOutput  # noqa: E402
+from uav_vslam.slam.frame_queue import MAX_WAITING  # noqa: E402
 from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
 from uav_vslam.slam.stage import SlamStage  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, StereoFeatures  # noqa: E402
@@ -91,3 +92,10 @@ def test_inputs_that_can_not_be_right_are_failures(
     monkeypatch.setattr(SlamStage, reason, "")
     fly(node, 1001 * NS_PER_S, 1)
     assert subject not in node.failures
+
+
+def test_features_before_the_calibration_are_a_warning_that_says_what_is_missing(node: SlamBackendNode) -> None:
+    fly(node, 1000 * NS_PER_S, MAX_WAITING + 1)
+    assert node.counts["dropped/before_rig"] > 0
+    said = "features arrive, but there is no valid camera_info of the left and the right camera"
+    assert node.alarms["calibration"] == said

@@ -166,6 +166,8 @@ class SlamBackendNode(VehicleNode):
             self._save(output.report.pose.stamp_ns)
         for reason, count in self._clocked.dropped.items():
             self.counts[f"{DROPPED}{reason}"] = count
+        waits = self._stage.rig is None and self._clocked.dropped["before_rig"]
+        self.report_alarm("calibration", f"features arrive, but {self._rig.missing}" if waits else "", logged=True)
         self.report_failure("unpaired", self._stage.unpaired)
         fault = self._stage.imu_fault
         self.report_failure("imu", f"{fault}; until then the motion is that of the images alone" if fault else "")
