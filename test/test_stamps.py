@@ -168,6 +168,16 @@ def test_a_stream_that_was_silent_goes_on_where_the_others_are() -> None:
     assert passed == {"IMU": seconds(0, 24), "image": seconds(0, 10) + seconds(20, 24)}
 
 
+def test_a_stream_that_was_silent_for_long_goes_on_at_once_where_the_reference_is() -> None:
+    """As images do whose driver was dead: no clock has jumped."""
+    line, silent = both(), round(2 * IMAGE_TIME_JUMP_S)
+    assert feed(line, seconds(0, 10)) == []
+    assert feed(line, seconds(10, silent), ("IMU",)) == []
+    assert feed(line, seconds(silent, silent + 1)) == []
+    assert passed == {"IMU": seconds(0, silent + 1), "image": seconds(0, 10) + seconds(silent, silent + 1)}
+    assert not line.refused
+
+
 def test_a_keyframe_recording_loses_no_image() -> None:
     line = both()
     for at_s in range(41):

@@ -127,7 +127,8 @@ class TimeLine(Generic[T]):
         Args:
             streams: by name the largest step ahead that is no jump [s].
             apart_s: farthest that the newest stamps of two streams that jump together may be apart [s].
-            reference: stream that the others' stamps are compared with as well; empty for none.
+            reference: stream that the others' stamps are compared with; near them there is no step too large. Empty for
+                none.
             follow: whether jumps are followed; otherwise whatever is off the time line is refused for good.
             back: whether jumps back are; otherwise older stamps are repetitions.
             least: messages that confirm a jump, besides `RUN_S`.
@@ -172,13 +173,12 @@ class TimeLine(Generic[T]):
 
     def _is_next(self, name: str, stamp_ns: int) -> bool:
         stream, reference = self._streams[name], self._streams.get(self._reference)
-        if stream.newest_ns is not None and not 0 < stamp_ns - stream.newest_ns <= stream.jump_ns:
-            return False
-        if self._is_confirmed(name) and self._is_behind(name, stamp_ns):
+        step_ns = 1 if stream.newest_ns is None else stamp_ns - stream.newest_ns
+        if step_ns <= 0 or (self._is_confirmed(name) and self._is_behind(name, stamp_ns)):
             return False
         if reference is None or reference is stream or reference.newest_ns is None:
-            return True
-        return abs(stamp_ns - reference.newest_ns) <= self._apart_ns
+            return step_ns <= stream.jump_ns
+        return abs(stamp_ns - reference.newest_ns) <= self._apart_ns  # after any silence
 
     def _is_behind(self, name: str, stamp_ns: int) -> bool:
         """Return whether another stream is ahead: a clock that was set back alone catches up with its own past."""

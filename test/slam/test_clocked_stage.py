@@ -9,6 +9,7 @@ import pytest
 from position_nees import position_nees
 
 from uav_vslam.config import InputConfig, VehicleConfig
+from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.frame_queue import MAX_WAITING
@@ -160,6 +161,25 @@ def test_motion_that_was_missing_for_long_begins_a_session_though_features_went_
         return
     assert outputs[-1].report.pose.stamp_ns == moved(flight.frames[-1][0], silence_s).stamp_ns
     assert worst_nees(flight, outputs, silence_s) <= 3.0
+
+
+@pytest.mark.parametrize("at_once", [False, True], ids=["front end", "cameras"])
+@pytest.mark.parametrize("policy", ["bridge", "reset"])
+def test_frames_that_were_missing_for_long_begin_no_session_if_the_motion_is_known(
+    flown, policy: str, at_once: bool
+) -> None:
+    """Without images there is one increment up to the next, without a front end one for each image."""
+    flight, silence_s = flown(1), 40.0
+    clocked = make(flight, policy)
+    feed(clocked, flight.frames[:8])
+    state, last = clocked.stage.nav.state, flight.frames[7][1]
+    for end_s in [silence_s] if at_once else np.arange(1.0, silence_s + 1.0):
+        increment = unknown_motion_since(state, moved(last, end_s).stamp_ns, flight.vehicle.scenario.imu_config)
+        clocked.add_increment(increment)
+        state = dataclasses.replace(state, stamp_ns=increment.stamp_ns)
+    outputs = feed(clocked, flight.frames[8:], silence_s)
+    assert clocked.stage.session == SESSION
+    assert outputs[-1].report.pose.stamp_ns == moved(flight.frames[-1][0], silence_s).stamp_ns
 
 
 def test_features_of_a_clock_that_was_set_alone_do_not_fill_the_memory(flown) -> None:

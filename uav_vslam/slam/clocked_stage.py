@@ -81,8 +81,8 @@ class ClockedStage:
 
     def _follow(self, jump: TimeJump, admitted: Admitted[Item]) -> str:
         """Begin another session at the first frame after a jump, from the last estimate or a newer start state."""
-        if not jump.is_back and jump.size_s <= MOST_BRIDGED_S:  # one stream was silent
-            return ""
+        if not jump.is_back and (jump.size_s <= MOST_BRIDGED_S or self._is_motion_known(admitted)):
+            return ""  # one stream was silent
         frames_ns = (item.stamp_ns for name, item in admitted.items if name == FEATURES)
         first_ns = min(frames_ns, default=jump.to_ns)  # none if features have not begun, or went on without motion
         before, initial = self.stage.nav, self._start_near(first_ns)
@@ -90,6 +90,11 @@ class ClockedStage:
             initial = carried_over(before, first_ns, self._config.imu)
         self._replace(initial)
         return f"{jump}; {self._outcome(initial)}"
+
+    def _is_motion_known(self, admitted: Admitted[Item]) -> bool:
+        """Return whether the increments go on where they were: cameras or front end were silent, no clock was set."""
+        starts_ns = [item.start_ns for _, item in admitted.items if isinstance(item, ImuIncrement)]
+        return self._reached_ns is not None and min(starts_ns, default=self._reached_ns) == self._reached_ns
 
     def _reset_at_break(self, increment: ImuIncrement) -> str:
         """Start again if the INS has: its increments no longer follow each other."""
