@@ -3,7 +3,8 @@
 
 import pytest
 
-from uav_vslam.config import idle_settings, load_vehicle, separate_maps
+from uav_vslam.config import FleetConfig, idle_radio, idle_settings, load_vehicle, separate_maps
+from uav_vslam.config.fleet import RadioConfig, ReplayConfig
 from uav_vslam.config.settings import all_settings
 from uav_vslam.config.vehicle import VehicleConfig
 
@@ -54,3 +55,10 @@ def test_vehicles_of_which_each_defines_its_map_do_not_share_one(second: dict[st
     assert found.startswith("uav1, uav2 each start in a map frame of their own") == apart
     assert bool(found) == apart
     assert separate_maps({"uav1": first}) == ""
+
+
+@pytest.mark.parametrize(("domain_id", "vehicles", "idle"), [(42, [], True), (42, ["uav1"], False), (-1, [], False)])
+def test_a_radio_that_one_computer_does_not_use_is_said(domain_id: int, vehicles: list[str], idle: bool) -> None:
+    both = {"uav1": VehicleConfig(), "uav2": VehicleConfig()}
+    fleet = FleetConfig(both, ReplayConfig(), RadioConfig(domain_id=domain_id))
+    assert idle_radio(fleet, vehicles).startswith("radio is not used") == idle

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES
-from uav_vslam.cli.messages import say, warn
+from uav_vslam.cli.messages import say, warn_each
 
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
@@ -153,7 +153,7 @@ def launch(
     Returns:
         The exit code of the first process that failed, 128 + the signal that interrupted a replay, or 0.
     """
-    from uav_vslam.config import separate_maps
+    from uav_vslam.config import idle_radio, separate_maps
     from uav_vslam.ros.command import node_command
     from uav_vslam.ros.domain import check_domain
     from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services
@@ -169,8 +169,7 @@ def launch(
         specs = [without_parameter_services(spec) for spec in specs]
     _remove_leftovers()
     _warn_without_key(fleet)
-    if apart := separate_maps(fleet.vehicles):
-        warn(apart)
+    warn_each(text for text in (separate_maps(fleet.vehicles), idle_radio(fleet, vehicles)) if text)
     supervisor = Supervisor(
         _environment(domain_id, log_dir, own_radio=fleet.radio.domain_id >= 0 or not vehicles),
         restarts=restarts,

@@ -9,7 +9,7 @@ files       YAML files
 reference   the reference page docs/reference/parameters.md
 """
 
-from uav_vslam.config.advice import idle_settings, separate_maps
+from uav_vslam.config.advice import idle_radio, idle_settings, separate_maps
 from uav_vslam.config.backend import ASSOCIATIONS, FILTERS, RETENTION_POLICIES, STATE_MODELS, BackendConfig
 from uav_vslam.config.files import (
     difference_file,
@@ -66,6 +66,7 @@ __all__ = [
     "differences",
     "find_config",
     "find_dds_profile",
+    "idle_radio",
     "idle_settings",
     "load_fleet",
     "load_link",

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings that decide nothing with the others, or keep vehicles apart: said at start-up, or results would mislead."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
+from uav_vslam.config.fleet import FleetConfig
 from uav_vslam.config.settings import differences
 from uav_vslam.config.vehicle import VehicleConfig
 
@@ -34,4 +35,14 @@ def separate_maps(configs: Mapping[str, VehicleConfig]) -> str:
     return (
         f"{', '.join(apart)} each start in a map frame of their own (start.method = static or in_flight), so peers' "
         "landmarks can't be associated: set fusion.common_origin = false, or give start states in one frame"
+    )
+
+
+def idle_radio(fleet: FleetConfig, vehicles: Collection[str]) -> str:
+    """Return why a fleet's radio is not used where some of its vehicles are started, none for all; empty if it is."""
+    if fleet.radio.domain_id < 0 or vehicles:
+        return ""
+    return (
+        "radio is not used: all vehicles start on this computer, on one ROS domain; if each has its own, start it "
+        "there with --vehicle NAME"
     )
