@@ -307,6 +307,11 @@ def test_an_input_that_never_comes_does_not_hide_one_that_has_stopped(
     assert level == DiagnosticStatus.WARN
     assert "waiting for initial_state" in text
     assert text.endswith("; no more messages from imu/data_raw for 10 s")
+    node.report_failure("clock", "do their clocks agree?")
+    assert node._health() == (
+        DiagnosticStatus.ERROR,
+        "do their clocks agree?; no more messages from imu/data_raw for 10 s",
+    )
 
 
 def test_images_that_go_on_while_the_imu_is_silent_do_not_blame_the_clocks(make: Make) -> None:
