@@ -281,9 +281,8 @@ class VehicleNode(PausableNode):
         if self.paused:
             return DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
         if self.failures:
-            return DiagnosticStatus.ERROR, "; ".join(
-                [*self.failures.values(), *stops]
-            )  # a silent IMU looks like another clock
+            named = [*self.failures.values(), *stops]  # a silent IMU looks like another clock
+            return DiagnosticStatus.ERROR, "; ".join(named)
         if missing and self._startup.lasts():
             return DiagnosticStatus.OK, f"starting, waiting for {missing}"
         if missing:  # an alarm may say why, or be about another input; one that never comes hides none that has stopped
