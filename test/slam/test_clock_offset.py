@@ -91,3 +91,13 @@ def test_an_offset_that_is_not_known_yet_keeps_few_frames(flown, monkeypatch: py
         kept.append([len(one.frames) for one in stage._flight._clock._past])
     assert max(len(one) for one in kept) == KEPT
     assert max(max(one) for one in kept) * 0.14 < (KEPT + 0.5) * EVERY_S  # a frame every 0.14 s
+
+
+def test_an_indefinite_filter_that_was_kept_costs_no_frame(flown) -> None:
+    """After minutes with an unknown motion the information of one that is kept may be off by more than it holds."""
+    flight = flown(1, frames=12, tracked_px=PX)
+    stage, frames = flight.tracking_stage(PX), flight.with_late_images(0.01)
+    feed(stage, frames[:1])
+    kept = stage._flight._clock._past[0].backend._filter
+    kept.belief = type(kept.belief)(-kept.belief.Y, kept.belief.vehicle)
+    assert len(feed(stage, frames[1:])) == len(frames) - 1

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.rig_belief import TimeOffset
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.frame_report import FrameReport
@@ -108,7 +109,10 @@ class ClockOffsetMonitor:
         """Return a back end that is linearised about an offset, and its last report; None where it does not go on."""
         self._about_s = about_s
         backend = self._past[0].backend.to_replace(present, config)
-        backend.expect_time_offset(about_s)
+        try:
+            backend.expect_time_offset(about_s)
+        except FilterDivergence:  # when it was kept; the present one goes on
+            return None
         for frame in self._past[0].frames:
             report = backend.process(*frame)
             if not goes_on(report):
