@@ -26,6 +26,21 @@ def test_the_span_is_buffered_at_any_rate(rate_hz: int, held_s: float) -> None:
     assert stamps[-1] - stamps[0] >= held_s * NS_PER_S
 
 
+def test_rest_counts_once_the_cameras_send_images() -> None:
+    """Their driver may start a minute after the IMU's; what was known of the motion then is of no use."""
+    buffer, step_ns = StartupBuffer(1.0), 5_000_000
+    for k in range(12_000):
+        buffer.add(reading(k * step_ns))
+    assert buffer.at_rest() == []
+    buffer.add(12_000 * step_ns)
+    assert [one.stamp_ns for one in buffer.at_rest()][-1] == 11_999 * step_ns
+    assert len(buffer.at_rest()) == 201
+    early = StartupBuffer(1.0)
+    early.add(0)
+    lasting = [bool(early.at_rest()) for k in range(202) if early.add(reading(k * step_ns)) is None]
+    assert lasting == [False] * 200 + [True] * 2
+
+
 def test_nothing_is_dropped_before_the_span_is_full() -> None:
     """So the first alignment uses all readings from the first on."""
     early = StartupBuffer(1.0)

@@ -119,6 +119,17 @@ def test_rest_is_averaged_over_the_configured_time(make: Make, rest_s: float) ->
     assert node.counts["increments"] > 3
 
 
+def test_a_static_start_waits_for_the_cameras(make: Make) -> None:
+    node, first_ns = make("start.method:=static"), NOW_NS + 60 * NS_PER_S
+    for k in range(60 * NS_PER_S // STEP_NS):
+        force = Vector3(z=node.config.imu.gravity)
+        reading = Imu(header=header(NOW_NS + k * STEP_NS, node.base_frame), linear_acceleration=force)
+        deliver(node, "imu/data_raw", reading)
+    assert node._live is None
+    rest(node, first_ns, 0.2)
+    assert abs(node._preintegrator.start_ns - first_ns) < 0.1 * NS_PER_S
+
+
 @pytest.mark.parametrize("method", ["given", "static"])
 def test_one_sample_from_the_future_costs_one_sample(make: Make, method: str) -> None:
     node = make(f"start.method:={method}", "start.rest_s:=0.5", "odometry_rate_hz:=0.0")

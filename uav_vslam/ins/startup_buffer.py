@@ -21,6 +21,7 @@ class StartupBuffer:
         self._held_ns = held_s * NS_PER_S
         self._items: deque[ImuSample | int] = deque()
         self._newest_ns: int | None = None
+        self._has_image = False
 
     def add(self, item: ImuSample | int) -> None:
         """Add a reading or an image's stamp [ns]; items already too old at the previous one are dropped."""
@@ -29,6 +30,8 @@ class StartupBuffer:
         self._items.append(item)
         if isinstance(item, ImuSample):
             self._newest_ns = max(item.stamp_ns, self._newest_ns or item.stamp_ns)
+        else:
+            self._has_image = True
 
     def take(self, *, from_first_reading: bool = False) -> list[ImuSample | int]:
         """Return and remove all items, in order of arrival; images from before the first reading may be left out."""
@@ -40,6 +43,15 @@ class StartupBuffer:
     def readings(self) -> list[ImuSample]:
         """Return the buffered readings."""
         return [item for item in self._items if isinstance(item, ImuSample)]
+
+    def at_rest(self) -> list[ImuSample]:
+        """Return the readings once they last the buffered span and an image has come; before that, none.
+
+        A start long before the first image would be worth little by then: its motion is the IMU's alone.
+        """
+        readings = self.readings()
+        lasts = len(readings) > 1 and readings[-1].stamp_ns - readings[0].stamp_ns >= self._held_ns
+        return readings if lasts and self._has_image else []
 
     def ahead_s(self, stamp_ns: int) -> float | None:
         """Return the time from the newest reading to a start at this stamp [s]; None without readings."""

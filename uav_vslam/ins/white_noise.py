@@ -94,4 +94,4 @@ def _powers(segment: list[ImuSample]) -> Array:
     rate_hz = (len(segment) - 1) * NS_PER_S / (segment[-1].stamp_ns - segment[0].stamp_ns)
     spectrum = np.fft.rfft(readings * window[:, None], axis=0)
     power = 2.0 * np.abs(spectrum) ** 2 / (rate_hz * (window @ window))
-    return octave_means(power, np.fft.rfftfreq(len(segment)))
+    return octave_means(power, np.fft.rfftfreq(len(segment)).astype(np.float64))

@@ -72,7 +72,7 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     images_ns = _stamps(survey, "left")
     found.findings += start.check_start(survey.initial, images_ns, readings, config, truth)
     if config.start.method == "given" and not survey.initial and readings:
-        found.start_method = start.method_for(readings, config)
+        found.start_method = start.method_for(readings, images_ns, config)
     found.findings += start.check_truth(survey.truth, images_ns, recorded="truth" in survey.streams)
     found.findings += no_attitude + check_scale(scale)
     return found

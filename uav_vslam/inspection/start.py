@@ -2,7 +2,6 @@
 """Start state and ground truth: present, at the time of the flight, plausible."""
 
 import math
-from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagation import POSITION, ROTATION, VELOCITY
-from uav_vslam.ins.startup_buffer import MAX_APART_S
+from uav_vslam.ins.startup_buffer import MAX_APART_S, StartupBuffer
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 from uav_vslam.numerics import is_positive_definite
@@ -50,10 +49,14 @@ def check_start(
     if config.start.searches:
         return [ok("start state", f"start.method {config.start.method}: estimated from images and IMU")]
     if config.start.method == "static":
-        return _check_static(readings, config)
+        return _check_static(readings, images_ns, config)
     if not initial:
         seen, allowed = "start.method is given, but no start state was recorded", "one message on initial_state"
-        return [error("start state", seen, allowed, f"record one, or set {_METHODS[method_for(readings, config)]}")]
+        return [
+            error(
+                "start state", seen, allowed, f"record one, or set {_METHODS[method_for(readings, images_ns, config)]}"
+            )
+        ]
     return _check_given(initial[0], images_ns, readings, truth)
 
 
@@ -166,24 +169,30 @@ def _vector(v: NDArray[np.float64]) -> str:
     return " ".join(f"{x:.2f}" for x in v)
 
 
-def _check_static(readings: ImuSeries, config: VehicleConfig) -> list[Finding]:
+def _check_static(readings: ImuSeries, images_ns: Stamps, config: VehicleConfig) -> list[Finding]:
     try:
-        _static(readings, config)
+        _static(readings, images_ns, config)
     except UavVslamError as refused:
         return [error("start state", str(refused), f"rest for {config.start.rest_s:g} s", METHODS)]
     return [ok("start state", f"start.method static: at rest for {config.start.rest_s:g} s")]
 
 
-def method_for(readings: ImuSeries, config: VehicleConfig) -> str:
+def method_for(readings: ImuSeries, images_ns: Stamps, config: VehicleConfig) -> str:
     """Return the start.method that suits a recording without a start state."""
     try:
-        _static(readings, config)
+        _static(readings, images_ns, config)
     except UavVslamError:
         return "in_flight"
     return "static"
 
 
-def _static(readings: ImuSeries, config: VehicleConfig) -> NavEstimate:
-    rest_s = config.start.rest_s
-    first = list(takewhile(lambda one: one.stamp_ns - readings.stamps_ns[0] <= rest_s * NS_PER_S, readings))
-    return static_alignment(first, first[-1].stamp_ns if first else 0, config.imu)
+def _static(readings: ImuSeries, images_ns: Stamps, config: VehicleConfig) -> NavEstimate:
+    buffer, first_image = StartupBuffer(config.start.rest_s), images_ns[:1].tolist()
+    for reading in readings:
+        if first_image and first_image[0] <= reading.stamp_ns:
+            buffer.add(first_image.pop())
+        buffer.add(reading)
+        if buffer.at_rest():
+            break
+    samples = buffer.readings()
+    return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)

@@ -8,7 +8,8 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import static_alignment
-from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures, StereoFrame
+from uav_vslam.ins.startup_buffer import StartupBuffer
+from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
 
 class FlightSource(Protocol):
@@ -57,13 +58,12 @@ def start_state(source: FlightSource, config: VehicleConfig) -> NavEstimate | No
 
 
 def _static_start(source: FlightSource, config: VehicleConfig) -> NavEstimate:
-    samples: list[ImuSample] = []
+    buffer = StartupBuffer(config.start.rest_s)
     for event in source.iter_events():
-        if not isinstance(event, ImuSample):
-            continue
-        samples.append(event)
-        if event.stamp_ns - samples[0].stamp_ns >= config.start.rest_s * NS_PER_S:
+        buffer.add(event if isinstance(event, ImuSample) else event.stamp_ns)
+        if buffer.at_rest():
             break
+    samples = buffer.readings()
     try:
         return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)
     except UavVslamError as error:

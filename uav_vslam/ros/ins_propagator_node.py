@@ -256,8 +256,8 @@ class InsPropagatorNode(VehicleNode):
             self._propagate(self._live, item)
             return
         self._startup_buffer.add(item)
-        if self._aligns:
-            self._align(self._startup_buffer.readings())
+        if self._aligns and (samples := self._startup_buffer.at_rest()):
+            self._align(samples)
         self._start_if_confirmed()
 
     def _preintegrate(self, preintegrator: ImuPreintegrator, item: ImuSample | int) -> None:
@@ -282,8 +282,6 @@ class InsPropagatorNode(VehicleNode):
 
     def _align(self, samples: list[ImuSample]) -> None:
         """Estimate the start state from IMU samples at rest, and publish it."""
-        if len(samples) < 2 or samples[-1].stamp_ns - samples[0].stamp_ns < self.config.start.rest_s * NS_PER_S:
-            return
         initial = static_alignment(samples, samples[-1].stamp_ns, self.config.imu)
         self._initial_state.publish(navigation_to_msg(initial, frame_id=self.map_frame, child_frame_id=self.base_frame))
         self._start(initial)
