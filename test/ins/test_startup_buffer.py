@@ -35,10 +35,15 @@ def test_rest_counts_once_the_cameras_send_images() -> None:
     buffer.add(12_000 * step_ns)
     assert [one.stamp_ns for one in buffer.at_rest()][-1] == 11_999 * step_ns
     assert len(buffer.at_rest()) == 201
-    early = StartupBuffer(1.0)
-    early.add(0)
-    lasting = [bool(early.at_rest()) for k in range(202) if early.add(reading(k * step_ns)) is None]
-    assert lasting == [False] * 200 + [True] * 2
+
+
+def test_rest_counts_as_soon_as_it_has_lasted_where_images_come_before() -> None:
+    buffer, lasts = StartupBuffer(1.0), []
+    buffer.add(0)
+    for k in range(202):
+        buffer.add(reading(k * 5_000_000))
+        lasts.append(bool(buffer.at_rest()))
+    assert lasts == [False] * 200 + [True] * 2
 
 
 def test_nothing_is_dropped_before_the_span_is_full() -> None:
