@@ -13,11 +13,12 @@ from uav_vslam.estimation.tracks import OFFSET
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.noise_monitor import NoiseMonitor
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.slam.track_noise import FRAMES, LEAST_POINTS, NOISE_RATIO, TrackNoise
-from uav_vslam.types import ImuIncrement, StereoFeatures
+from uav_vslam.types import NS_PER_S, ImuIncrement, NavState, StereoFeatures
 
 CONFIGURED_PX = 0.07
 FLIGHTS = 8
@@ -131,6 +132,17 @@ def test_noisier_tracks_are_named_once() -> None:
     said = [monitor.add_tracks(sigma_px, configured_px=CONFIGURED_PX) for sigma_px in (CONFIGURED_PX, 0.21, 0.3)]
     assert said[0] == said[2] == ""
     assert "0.21 px off their epipolar lines, 3.0 times backend.track_sigma_px" in said[1]
+
+
+def test_noisier_readings_are_named_once_by_what_they_settle_at() -> None:
+    """The first spectrum of noise that begins is quiet in part."""
+    imu = ImuConfig()
+    state = NavState(0, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+    monitor, motion = NoiseMonitor(imu), unknown_motion_since(state, NS_PER_S // 8, imu)
+    times = [1.0, 5.0, 1.0, 3.0, *[6.0] * 20]
+    said = [monitor.add(dataclasses.replace(motion, accel_noise=ratio * imu.accel_noise)) for ratio in times]
+    assert [k for k, text in enumerate(said) if text] == [10]
+    assert "6.0 times imu.accel_noise" in said[10]
 
 
 def test_a_noise_that_is_configured_in_flight_is_not_taken_for_a_measured_one(flown) -> None:

@@ -4,12 +4,15 @@
 from uav_vslam.config import ImuConfig
 from uav_vslam.types import ImuIncrement
 
+STEADY_S = 1.0  # after which noise that begins has been measured
+
 
 class NoiseMonitor:
     """Watches increments and tracks and warns once of each sensor."""
 
     def __init__(self, imu: ImuConfig) -> None:
         self._watching_tracks = True
+        self._loud_s: dict[str, float] = {}
         self._configured = {"imu.gyro_noise": imu.gyro_noise, "imu.accel_noise": imu.accel_noise}
 
     def add_tracks(self, sigma_px: float, *, configured_px: float) -> str:
@@ -25,7 +28,9 @@ class NoiseMonitor:
     def add(self, increment: ImuIncrement) -> str:
         """Add an increment and return a warning, normally empty."""
         seen = {"imu.gyro_noise": increment.gyro_noise, "imu.accel_noise": increment.accel_noise}
-        noisy = {name: seen[name] / sigma for name, sigma in self._configured.items() if seen[name] > sigma}
+        louder = {name: seen[name] / sigma for name, sigma in self._configured.items() if seen[name] > sigma}
+        self._loud_s = {name: self._loud_s.get(name, 0.0) + increment.dt_s for name in louder}
+        noisy = {name: ratio for name, ratio in louder.items() if self._loud_s[name] >= STEADY_S}
         if not noisy:
             return ""
         self._configured = {name: sigma for name, sigma in self._configured.items() if name not in noisy}
