@@ -6,6 +6,7 @@ Imported by `--help`, so nothing heavy here.
 
 import argparse
 import re
+import sys
 from collections.abc import Callable
 
 MOST_OFFSET_S = 1e9  # between two clocks, one of which may count from its own start
@@ -26,12 +27,12 @@ def whole_number(least: int, wanted: str = "") -> Callable[[str], int]:
     return number
 
 
-def number_above_zero(wanted: str, most: float = float("inf")) -> Callable[[str], float]:
+def number_above_zero(wanted: str, most: float = sys.float_info.max) -> Callable[[str], float]:
     """Return the type of a finite number above zero, up to `most`; `wanted` says what it is."""
 
     def number(text: str) -> float:
         value = _number(text)
-        if not 0.0 < value <= most or value == float("inf"):
+        if not 0.0 < value <= most:
             raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
         return value
 

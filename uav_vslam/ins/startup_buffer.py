@@ -2,6 +2,7 @@
 """Buffer for readings and image stamps until the start state is known."""
 
 from collections import deque
+from collections.abc import Iterable
 
 from uav_vslam.types import NS_PER_S, ImuSample
 
@@ -49,9 +50,9 @@ class StartupBuffer:
 
         A start long before the first image would be worth little by then: its motion is the IMU's alone.
         """
-        readings = self.readings()
+        readings = self.readings() if self._has_image else []
         lasts = len(readings) > 1 and readings[-1].stamp_ns - readings[0].stamp_ns >= self._held_ns
-        return readings if lasts and self._has_image else []
+        return readings if lasts else []
 
     def ahead_s(self, stamp_ns: int) -> float | None:
         """Return the time from the newest reading to a start at this stamp [s]; None without readings."""
@@ -85,6 +86,21 @@ class StartupBuffer:
     def _first_reading_ns(self, otherwise_ns: int) -> int:
         """Return the stamp of the first reading that is buffered, or another one if there is none [ns]."""
         return next((item.stamp_ns for item in self._items if isinstance(item, ImuSample)), otherwise_ns)
+
+
+def first_rest(items: Iterable[ImuSample | int], rest_s: float) -> list[ImuSample]:
+    """Return the readings to align by, see `at_rest`, of a recording's readings and image stamps [ns]; else the newest.
+
+    Args:
+        items: in order of arrival.
+        rest_s: how long the readings last [s].
+    """
+    buffer = StartupBuffer(rest_s)
+    for item in items:
+        buffer.add(item)
+        if readings := buffer.at_rest():
+            return readings
+    return buffer.readings()
 
 
 def _stamp_ns(item: ImuSample | int) -> int:

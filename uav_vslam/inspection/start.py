@@ -2,6 +2,7 @@
 """Start state and ground truth: present, at the time of the flight, plausible."""
 
 import math
+from heapq import merge
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagation import POSITION, ROTATION, VELOCITY
-from uav_vslam.ins.startup_buffer import MAX_APART_S, StartupBuffer
+from uav_vslam.ins.startup_buffer import MAX_APART_S, first_rest
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 from uav_vslam.numerics import is_positive_definite
@@ -52,11 +53,8 @@ def check_start(
         return _check_static(readings, images_ns, config)
     if not initial:
         seen, allowed = "start.method is given, but no start state was recorded", "one message on initial_state"
-        return [
-            error(
-                "start state", seen, allowed, f"record one, or set {_METHODS[method_for(readings, images_ns, config)]}"
-            )
-        ]
+        remedy = f"record one, or set {_METHODS[method_for(readings, images_ns, config)]}"
+        return [error("start state", seen, allowed, remedy)]
     return _check_given(initial[0], images_ns, readings, truth)
 
 
@@ -187,12 +185,6 @@ def method_for(readings: ImuSeries, images_ns: Stamps, config: VehicleConfig) ->
 
 
 def _static(readings: ImuSeries, images_ns: Stamps, config: VehicleConfig) -> NavEstimate:
-    buffer, first_image = StartupBuffer(config.start.rest_s), images_ns[:1].tolist()
-    for reading in readings:
-        if first_image and first_image[0] <= reading.stamp_ns:
-            buffer.add(first_image.pop())
-        buffer.add(reading)
-        if buffer.at_rest():
-            break
-    samples = buffer.readings()
+    items = merge(images_ns[:1].tolist(), readings, key=lambda item: getattr(item, "stamp_ns", item))
+    samples = first_rest(items, config.start.rest_s)
     return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)

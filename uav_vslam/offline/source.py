@@ -8,7 +8,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import static_alignment
-from uav_vslam.ins.startup_buffer import StartupBuffer
+from uav_vslam.ins.startup_buffer import first_rest
 from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
 
@@ -58,12 +58,9 @@ def start_state(source: FlightSource, config: VehicleConfig) -> NavEstimate | No
 
 
 def _static_start(source: FlightSource, config: VehicleConfig) -> NavEstimate:
-    buffer = StartupBuffer(config.start.rest_s)
-    for event in source.iter_events():
-        buffer.add(event if isinstance(event, ImuSample) else event.stamp_ns)
-        if buffer.at_rest():
-            break
-    samples = buffer.readings()
+    events = source.iter_events()
+    items = (event if isinstance(event, ImuSample) else event.stamp_ns for event in events)
+    samples = first_rest(items, config.start.rest_s)
     try:
         return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)
     except UavVslamError as error:
