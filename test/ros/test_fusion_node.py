@@ -52,7 +52,7 @@ class Flight:
         self._make_joint = make_joint
         self._peer = Fusion("uav2", FusionConfig())
         self.executor = SingleThreadedExecutor()
-        self.node = FusionNode()
+        self.node = FusionNode(arguments)
         self.others = rclpy.create_node("others", use_global_arguments=False)
         self.executor.add_node(self.node)
         self.executor.add_node(self.others)
@@ -226,7 +226,7 @@ def test_a_wrong_parameter_ends_the_node_at_its_start(domain_id: int, parameter:
     rclpy.init(args=given, domain_id=domain_id)
     try:
         with pytest.raises(ConfigError, match=message.format(own=domain_id)):
-            FusionNode()
+            FusionNode(given)
     finally:
         rclpy.try_shutdown()
 

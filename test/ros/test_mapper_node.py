@@ -29,6 +29,7 @@ from uav_vslam.ros.convert import flat, header, navigation_to_msg, pose_with_cov
 from uav_vslam.ros.lifecycle import INACTIVE  # noqa: E402
 from uav_vslam.ros.mapper_node import MapperNode  # noqa: E402
 from uav_vslam.ros.qos import LATCHED  # noqa: E402
+from uav_vslam.ros.runtime import finish  # noqa: E402
 from uav_vslam.types import NavEstimate, NavState, PoseEstimate  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -113,7 +114,7 @@ def test_in_flight_only_tiles_are_saved_and_the_rest_at_the_end(make: Make, tmp_
     node._publish()
     assert {path.name.partition("_")[0] for path in folder.iterdir()} == {"tiles", "mosaic"}
     assert HeightGrid.open(folder / "tiles").extent == node._map.grid.extent
-    node.destroy_node()
+    assert finish(node) == 0
     picture = {f"orthomosaic.{suffix}" for suffix in ("png", "pgw", "jpg")}
     assert {path.name for path in folder.iterdir()} == {"tiles", "map.json", "height.tif"} | picture
 
@@ -296,7 +297,7 @@ def test_a_reset_that_can_not_begin_another_map_leaves_the_present_one_in_use(ma
     assert "File too large" in response.message
     assert node._map is present
     fly(node, range(VIEWS // 2, VIEWS))
-    node.destroy_node()
+    assert finish(node) == 0
     assert (tmp_path / "map" / "orthomosaic.png").is_file()
 
 

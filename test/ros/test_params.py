@@ -24,7 +24,7 @@ from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
 from uav_vslam.ros.link_emulator_node import LinkEmulatorNode  # noqa: E402
 from uav_vslam.ros.recorder_node import RecorderNode  # noqa: E402
 from uav_vslam.ros.replay_node import ReplayNode  # noqa: E402
-from uav_vslam.ros.runtime import run_node  # noqa: E402
+from uav_vslam.ros.runtime import finish, run_node  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode  # noqa: E402
 from uav_vslam.simulation.camera_render import RenderedFlight  # noqa: E402
@@ -84,6 +84,7 @@ def start(tmp_path: Path, domain_id: int) -> Iterator[Callable[..., Any]]:
 
     yield make
     for node in nodes:
+        finish(node)
         node.destroy_node()
     rclpy.try_shutdown()
 

@@ -13,6 +13,7 @@ import pytest
 
 from uav_vslam.config.nodes import NODES
 from uav_vslam.ros.command import find_executable
+from uav_vslam.ros.leaving import LEFT
 from waiting import wait_for
 
 pytestmark = pytest.mark.ros
@@ -75,6 +76,22 @@ def test_an_error_of_ros_keeps_its_traceback(run: Run) -> None:
     done = run("node.destroy_node()")
     assert done.returncode == 1
     assert "Traceback" in done.stderr
+
+
+STAYS = """
+    import ctypes
+    node.destroy_node = lambda: ctypes.PyDLL(None).sleep(60)  # it keeps the interpreter's lock, as Fast DDS does
+    def end():
+        raise SystemExit({code})
+    node.create_timer(0.01, end)
+"""
+
+
+def test_a_node_that_can_not_leave_its_domain_is_ended_from_outside(run: Run) -> None:
+    assert run(STAYS.format(code=0)).returncode == -LEFT
+    failed = run(STAYS.format(code=3))
+    assert failed.returncode == 1
+    assert "in run_node" in failed.stderr  # where it was
 
 
 def handles(pid: int, number: signal.Signals) -> bool:

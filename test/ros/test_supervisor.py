@@ -262,6 +262,25 @@ def test_the_leader_s_exit_shuts_down_all_and_is_no_failure(capfd: pytest.Captur
     assert output.err == ""
 
 
+def test_processes_that_could_not_leave_their_ros_domain_after_all_else_have_not_failed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    ready = tmp_path / "ready"
+    kept = "import os; os.kill(os.getpid(), signal.SIGALRM)"
+    worker = f"""
+        import pathlib, signal, time
+        def stop(*_):
+            {kept}
+        signal.signal(signal.SIGINT, stop)
+        signal.signal(signal.SIGTERM, stop)
+        pathlib.Path({str(ready)!r}).touch()
+        time.sleep(3600)
+    """
+    lead = leader(f"Path({str(ready)!r}).exists()", f"import signal; {kept}")
+    assert Supervisor().run([python("worker", worker), lead]) == 0
+    assert capfd.readouterr().err == ""
+
+
 def test_the_leader_s_failure_is_the_exit_code(capfd: pytest.CaptureFixture[str]) -> None:
     assert Supervisor().run([python("worker", POLITE), python("replay", "exit(3)", leads=True)]) == 3
     assert "replay ended with exit code 3" in capfd.readouterr().err

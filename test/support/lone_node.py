@@ -8,6 +8,7 @@ from typing import Protocol, TypeVar
 import rclpy
 from rclpy.serialization import serialize_message
 
+from uav_vslam.ros.runtime import finish
 from uav_vslam.ros.vehicle_node import VehicleNode
 
 
@@ -34,6 +35,7 @@ def lone_node(kind: Callable[[], Node], domain_id: int) -> Iterator[Callable[...
 
     yield made
     for node in nodes:
+        finish(node)
         node.destroy_node()
     rclpy.shutdown()
 

@@ -62,8 +62,13 @@ MAX_JOINTS = 8  # epochs' joint information that waits for its odometry: the bac
 class FusionNode(VehicleNode):
     """Feeds `Fusion` in stamp order: an epoch's joint information before the odometry of the same stamp."""
 
-    def __init__(self) -> None:
-        self._participant = open_participant("fusion")
+    def __init__(self, args: list[str] | None = None) -> None:
+        """Make it.
+
+        Args:
+            args: command line, which may name a radio; None for that of the process.
+        """
+        self._participant = open_participant("fusion", args)
         super().__init__("fusion")
         # The back end never goes back within a session: older stamps are those of one that was restarted.
         follow = self.config.input.on_time_jump != "refuse"
@@ -258,7 +263,7 @@ class FusionNode(VehicleNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point."""
-    return run_node(FusionNode, args, shared_memory=True)  # the radio's participant shares its profile
+    return run_node(lambda: FusionNode(args), args, shared_memory=True)  # the radio's participant shares its profile
 
 
 if __name__ == "__main__":

@@ -84,10 +84,10 @@ class MapperNode(VehicleNode):
         self._rig.restart()
         self._images, self._camera = WaitingImages(), None
 
-    def destroy_node(self) -> None:
-        """Save the whole map, then destroy the node."""
+    def finish(self) -> int:
+        """Save the whole map; return the exit code."""
         self._end_map()
-        super().destroy_node()
+        return 0
 
     def _on_start(self, message: NavigationState) -> None:
         """Begin another map with another start found in flight: its poses are in a frame of their own.

@@ -10,6 +10,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.utilities import get_default_context
 
 from uav_vslam.config.nodes import FusionNodeConfig
 from uav_vslam.errors import ConfigError
@@ -21,26 +22,45 @@ POLL_S = 0.05  # period of serving the second context: packets come once a secon
 CALLBACKS_A_TURN = 4
 
 
-def open_participant(name: str) -> "Participant | None":
+def open_participant(name: str, args: list[str] | None) -> "Participant | None":
     """Open the radio by the parameters of the node of that name, before the node itself opens its domain.
 
     The first participant of a process has the port that peers look for, so a temporary node reads the
     parameters first. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
 
+    Args:
+        name: of the node.
+        args: command line; None for that of the process.
+
     Raises:
         ConfigError: a parameter is wrong.
     """
-    reader = Node(name, enable_rosout=False, start_parameter_services=False)
+    own, namespace = _parameters(name, args)
+    if own.radio_domain_id < 0:
+        return None
+    if own.radio_domain_id == get_default_context().get_domain_id():  # its first port may be another node's
+        raise ConfigError(
+            f"radio_domain_id = {own.radio_domain_id} is the vehicle's own ROS domain (ROS_DOMAIN_ID, --domain); "
+            "the radio needs another, the same on all computers"
+        )
+    return Participant(namespace, own.radio_domain_id, own.radio_peers)
+
+
+def _parameters(name: str, args: list[str] | None) -> tuple[FusionNodeConfig, str]:
+    """Return a node's own parameters and its namespace.
+
+    Whatever a node needs to read them joins no domain: a participant that leaves while others come or go may hang (see
+    `leaving`).
+    """
+    context = Context()
+    with environment({DISCOVERY_RANGE: "OFF"}):
+        context.init(args=args)
+    reader = Node(name, context=context, enable_rosout=False, start_parameter_services=False)
     try:
-        own, namespace = read(reader, FusionNodeConfig), reader.get_namespace()
-        if own.radio_domain_id == reader.context.get_domain_id():  # another node may have the port that peers look for
-            raise ConfigError(
-                f"radio_domain_id = {own.radio_domain_id} is the vehicle's own ROS domain (ROS_DOMAIN_ID, --domain); "
-                "the radio needs another, the same on all computers"
-            )
+        return read(reader, FusionNodeConfig), reader.get_namespace()
     finally:
         reader.destroy_node()
-    return Participant(namespace, own.radio_domain_id, own.radio_peers) if own.radio_domain_id >= 0 else None
+        context.try_shutdown()
 
 
 class Participant:

@@ -52,11 +52,7 @@ SILENCE_S = 10.0  # of wall time, without a message of a vehicle
 
 
 class RecorderNode(Node):
-    """Writes raw messages to a bag.
-
-    Attributes:
-        exit_code: of the process, once the node is destroyed.
-    """
+    """Writes raw messages to a bag."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -69,7 +65,7 @@ class RecorderNode(Node):
         Path(output).parent.mkdir(parents=True, exist_ok=True)
         self._bag = RawRecorder(Path(output), retrying=True)
         self._output = output
-        self._written = self._dropped = self.exit_code = 0
+        self._written = self._dropped = 0
         self._inputs: list[Any] = []
         self._newest_s: dict[str, float] = {}  # by vehicle: when its last message came
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -82,18 +78,19 @@ class RecorderNode(Node):
         create_wall_timer(self, PERIOD_S, self._take_messages)
         self.get_logger().info(f"recording to {output}")
 
-    def destroy_node(self) -> None:
-        """Record what still waits, close the bag, then destroy the node."""
+    def finish(self) -> int:
+        """Record what still waits, and close the bag; return the exit code."""
+        code = 0
         self._take_messages()
         try:
             self._bag.close()
         except BagError as error:
-            self.exit_code = 1
+            code = 1
             self.get_logger().error(str(error))
         lost = self._bag.lost
         text = f"{self._written - lost} messages recorded, {self._dropped} dropped"
         self.get_logger().info(f"{text}, {lost} lost with the end of the bag" if lost else text)
-        super().destroy_node()
+        return code
 
     def _record(self, topic: str, message_type: Any, vehicle: str) -> None:
         name, batches = type_name(message_type), Batches(at_once=True)

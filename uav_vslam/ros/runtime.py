@@ -22,6 +22,7 @@ from uav_vslam.memory import keep_freed_memory
 from uav_vslam.processes import ending_signals
 from uav_vslam.ros.domain import check_domain
 from uav_vslam.ros.executor import LeanExecutor
+from uav_vslam.ros.leaving import leaving
 from uav_vslam.ros.log_folder import log_folder
 from uav_vslam.ros.params import warn_of_idle_qos
 from uav_vslam.ros.transport import environment, udp_alone
@@ -37,7 +38,7 @@ def run_node(
     """Initialise ROS, spin one node until SIGINT, SIGTERM or SIGHUP, and shut down; return the exit code.
 
     With --help, print what the node's module says instead. A node may end itself by raising SystemExit in a callback,
-    and may set an `exit_code` while it is destroyed. An error of ours is one line and exit code 2.
+    and what it has to `finish` comes before it is destroyed. An error of ours is one line and exit code 2.
 
     Args:
         factory: makes the node.
@@ -59,6 +60,7 @@ def run_node(
     for number in ending_signals():
         signal.signal(number, stop)
     node = executor = None
+    code = 1  # of an error that nobody expects
     try:
         with environment({} if shared_memory else udp_alone()):
             _initialise(args)
@@ -68,19 +70,28 @@ def run_node(
         executor.add_node(node)
         while not stopping:  # each node has a timer on wall time, which ends the wait
             executor.spin_once()
+        code = 0
     except (UavVslamError, ParameterException) as error:
         name = node.get_fully_qualified_name().strip("/") if node is not None else "uav_vslam"
         print(f"{name}: {error}", file=sys.stderr)
-        return 2
-    except SystemExit as leaving:
-        return int(leaving.code or 0)
+        code = 2
+    except SystemExit as ending:
+        code = int(ending.code or 0)
     finally:
         if executor is not None:
             executor.shutdown(timeout_sec=0)  # the garbage collector may otherwise destroy its parts before itself
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return int(getattr(node, "exit_code", 0))
+        code = finish(node) or code
+        with leaving(code):
+            if node is not None:
+                node.destroy_node()
+            rclpy.try_shutdown()
+    return code
+
+
+def finish(node: Node | None) -> int:
+    """Let a node finish what it has to before it is destroyed, as saving a map; return the exit code."""
+    own: Callable[[], int] = getattr(node, "finish", int)
+    return own()
 
 
 def _help(factory: Callable[[], Node]) -> str:

@@ -20,6 +20,7 @@ from typing import IO, TextIO
 from uav_vslam.errors import ConfigError
 from uav_vslam.processes import ending_signals, exit_with_parent
 from uav_vslam.ros.command import Command
+from uav_vslam.ros.leaving import LEFT
 
 DRAIN_S = 1.0  # after the replay's end, for messages in flight
 ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the shutdown starts
@@ -157,7 +158,7 @@ class Supervisor:
     def _watch(self) -> None:
         """Detect the first process that has exited: a failure, unless it is the leading one."""
         for child in self._children:
-            code = child.process.poll()
+            code = _exit_code(child.process)
             if code is None or self._is_missed(child, code) or self._is_restarted(child, code):
                 continue
             if not child.command.leads or code != 0:
@@ -245,8 +246,8 @@ class Supervisor:
 
     def _check_exit_codes(self) -> None:
         for child in self._children:
-            code = child.process.returncode
-            if self._code == 0 and not child.missed and code not in {0, -signal.SIGINT, -signal.SIGTERM}:
+            code = _exit_code(child.process)
+            if code and self._code == 0 and not child.missed and code not in {-signal.SIGINT, -signal.SIGTERM}:
                 _log(f"{child.command.name} {describe_exit(code)} during shutdown")
                 self._code = _shell_code(code)
 
@@ -286,6 +287,12 @@ def _handles_sigterm(pid: int) -> bool:
         return True
     caught = next((line.split()[1] for line in status.splitlines() if line.startswith("SigCgt:")), "0")
     return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
+
+
+def _exit_code(process: subprocess.Popen[bytes]) -> int | None:
+    """Return a process's exit code once it has ended; 0 too if it could not leave its ROS domain after all else."""
+    code = process.poll()
+    return 0 if code == -LEFT else code
 
 
 def _shell_code(code: int) -> int:

@@ -16,6 +16,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.domain import check_domain
+from uav_vslam.ros.leaving import leaving
 from uav_vslam.ros.log_folder import log_folder
 from uav_vslam.ros.message_types import type_named
 
@@ -56,8 +57,9 @@ def observer(domain_id: int | None, name: str = "uav_vslam_topic") -> Iterator[O
     try:
         yield node
     finally:
-        node.destroy_node()
-        context.try_shutdown()
+        with leaving():
+            node.destroy_node()
+            context.try_shutdown()
 
 
 def print_topics(node: Observer, *, wait_s: float) -> int:
