@@ -32,6 +32,18 @@ RECORDINGS = {
             "imu": "/camera/imu",
         },
     ),
+    "realsense, sensors apart": (
+        recorded(
+            images=["/camera/infra2/image_rect_raw", "/camera/infra1/image_rect_raw"],
+            imus=["/camera/accel/sample", "/camera/gyro/sample"],
+        ),
+        {
+            "left": "/camera/infra1/image_rect_raw",
+            "right": "/camera/infra2/image_rect_raw",
+            "imu": "/camera/gyro/sample",
+            "accel": "/camera/accel/sample",
+        },
+    ),
     "euroc": (
         recorded(images=["/cam1/image_raw", "/cam0/image_raw"], imus=["/imu0"], poses=["/vicon/firefly", "/goal"]),
         {"left": "/cam0/image_raw", "right": "/cam1/image_raw", "imu": "/imu0", "truth": "/vicon/firefly"},

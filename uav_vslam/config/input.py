@@ -26,6 +26,11 @@ class TopicsConfig(Settings):
     left_info: str = setting("left/camera_info", "calibration of the left camera")
     right_info: str = setting("right/camera_info", "calibration of the right camera")
     imu: str = setting("imu/data_raw", "IMU readings")
+    accel: str = setting(
+        "",
+        "accelerometer readings, where they are recorded on a topic of their own: `imu` is then that of the gyroscope. "
+        "Of recordings alone: a live driver has to unite them (RealSense: unite_imu_method: 2)",
+    )
     initial_state: str = setting("initial_state", "start state")
     truth: str = setting(
         "ground_truth/odometry",
@@ -78,6 +83,10 @@ class InputConfig(Settings):
         """Return the absolute name of a vehicle's topic; `role` is a field of `TopicsConfig`."""
         name: str = getattr(self.topics, role)
         return name if name.startswith("/") else f"/{vehicle}/{name}"
+
+    def gyro_topics(self, vehicle: str) -> dict[str, str]:
+        """Return the gyroscope's topic by the accelerometer's, if a vehicle's has one of its own; otherwise nothing."""
+        return {self.topic(vehicle, "accel"): self.topic(vehicle, "imu")} if self.topics.accel else {}
 
     def base_frame(self, vehicle: str) -> str:
         """Return the name of the vehicle's body frame."""

@@ -56,11 +56,12 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
     topics, setup = topics_of(bags), SensorSetup.of(name, config)
     left_topic, right_topic = (_image_topic(bags, topics, config.topic(name, side)) for side in SIDES)
     infos = [config.topic(name, f"{side}_info") for side in SIDES] if setup.needs_infos else []
-    for topic in (*infos, config.topic(name, "imu")):
+    for topic in (*infos, config.topic(name, "imu"), *config.gyro_topics(name)):
         if topic not in topics:
             raise _missing_topic(bags, topics, topic)
     if (reading := _first(bags, config.topic(name, "imu"))) is not None:
         setup.imu_frame = reading.header.frame_id
+    accels = [_first(bags, topic) for topic in config.gyro_topics(name)]
     if setup.needs_frames and not {TF_STATIC, TF} & topics.keys():
         raise _missing_topic(bags, topics, TF_STATIC)
     try:
@@ -68,6 +69,9 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
         if TF in topics and setup.missing_transforms():
             setup.frames.borrow(unmoved_edges(bags))
         rig, T_body_imu = setup.rig(), setup.T_body_imu()
+        for accel in accels:
+            if accel is not None and (turned := setup.turned_accel(accel.header.frame_id)):
+                raise CalibrationError(f"{turned}; unite them in the driver")
         initial_state = _initial_state(bags, setup)
     except CalibrationError as error:
         remedy = f"; input.frames.base: {setup.likely_base} is connected with all" if setup.likely_base else ""

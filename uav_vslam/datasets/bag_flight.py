@@ -25,6 +25,7 @@ from uav_vslam.datasets.messages import (
 from uav_vslam.datasets.rosbag import iter_raw, iter_readable, names_of
 from uav_vslam.datasets.stereo_sync import LATE_NS, PairTolerance, StereoPairer
 from uav_vslam.datasets.truth_track import TruthSeries, TruthTrack
+from uav_vslam.datasets.united_imu import united
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
@@ -158,7 +159,9 @@ class BagFlight:
         mounting = ImuMounting(self.T_body_imu)
         pairer: StereoPairer[Any] = StereoPairer(tolerance_ns=round(self.input.pair_tolerance_s * NS_PER_S))
         refused: list[BagError] = []
-        for raw in iter_raw(self.paths, [imu_topic, self.left_topic, self.right_topic]):
+        gyro_topics = self.input.gyro_topics(self.vehicle)
+        recorded = iter_raw(self.paths, [imu_topic, *gyro_topics, self.left_topic, self.right_topic])
+        for raw in united(recorded, gyro_topics):
             try:
                 built = decode(raw)
             except BagError as error:

@@ -160,7 +160,8 @@ def _start(vehicle: CutVehicle) -> Any:
 
 def _readings(flight: BagFlight, vehicle: CutVehicle, unread: Unread) -> Iterator[Message]:
     frame = _imu_frame(flight, vehicle)
-    for source_ns, raw in readable(flight, [flight.input.topic(flight.vehicle, "imu")], unread):
+    topics = [flight.input.topic(flight.vehicle, "imu"), *flight.input.gyro_topics(flight.vehicle)]
+    for source_ns, raw in readable(flight, topics, unread):
         stamp_ns = source_ns + vehicle.shift_ns
         if not vehicle.first_ns - MARGIN_NS <= source_ns <= vehicle.last_ns + MARGIN_NS:
             continue

@@ -12,6 +12,7 @@ from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.messages import header_stamp_ns, image_of
 from uav_vslam.datasets.rosbag import UpToDamage, iter_raw
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.datasets.united_imu import united
 from uav_vslam.errors import BagError, InvalidMessage, UavVslamError
 from uav_vslam.evaluation.overlap import View
 from uav_vslam.evaluation.pairing import MAX_GAP_S
@@ -104,7 +105,7 @@ def _frontend(rig: StereoRig, config: VehicleConfig) -> StereoFrontend:
 def readable(flight: BagFlight, topics: Sequence[str], unread: Unread) -> Iterator[tuple[int, RawMessage]]:
     """Yield stamp [ns] and message of topics, up to the damage; `unread` collects what else there is."""
     messages = UpToDamage(iter_raw(flight.paths, topics))
-    for raw in messages:
+    for raw in united(messages, flight.input.gyro_topics(flight.vehicle)):
         try:
             stamp_ns = header_stamp_ns(raw.data)
         except BagError as error:

@@ -18,8 +18,11 @@ from uav_vslam.datasets.messages import T_pair_cam_of, camera_of, rectified_came
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.geometry.stereo import MIN_BASELINE_M, SIDES, StereoRig
 from uav_vslam.types import NS_PER_S
+
+SAME_AXES_DEG = 0.5  # between two sensors that count as one
 
 
 @dataclass(slots=True)
@@ -173,6 +176,14 @@ class SensorSetup:
     def missing_imu_transforms(self) -> list[str]:
         """Return what /tf_static still has to connect for the IMU, in words."""
         return self._unconnected(self._imu_frames())
+
+    def turned_accel(self, frame: str) -> str:
+        """Return how the axes of an accelerometer's frame differ from the gyroscope's; empty if they do not."""
+        gyro = self._imu_frame
+        if not frame or not self.frames.connected(gyro, frame):
+            return ""
+        angle_deg = np.rad2deg(np.linalg.norm(so3_log(self.frames.find(gyro, frame).R)))
+        return f"{frame} is turned by {angle_deg:.1f} deg against {gyro}" if angle_deg > SAME_AXES_DEG else ""
 
     def conflict(self, frame: str) -> str:
         """Return why a state or truth of a frame is not one of the body, empty if it is or nothing is known of it."""

@@ -34,7 +34,8 @@ from uav_vslam.datasets.truth_track import TruthSeries, TruthTrack
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ins.imu_series import ImuSeries
-from uav_vslam.types import NS_PER_S, NavEstimate, StereoFrame
+from uav_vslam.ins.split_imu import SplitImu
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,7 @@ TYPES = {  # that can be read, by role
     "left_info": ("sensor_msgs/msg/CameraInfo",),
     "right_info": ("sensor_msgs/msg/CameraInfo",),
     "imu": ("sensor_msgs/msg/Imu",),
+    "accel": ("sensor_msgs/msg/Imu",),
     "initial_state": ("uav_vslam_msgs/msg/NavigationState",),
     "truth": TRUTH_TYPES,
 }
@@ -89,10 +91,11 @@ class Survey:
         topics: all of the recording.
         streams: by role, a field of `TopicsConfig`; those that were recorded with a type that can be read.
         imu: readings in the IMU's own axes.
+        unmatched: how many readings of the gyroscope had none of an accelerometer on a topic of its own.
         setup: calibration.
         problems: why the calibration files or /tf_static can't be read.
         initial: start states.
-        child_frames: by role, the body's frame in the first start state and truth.
+        child_frames: by role, the body's frame in the first start state and truth, and that of the accelerometer.
         truth: true motion, or None.
         repeated: by side, (N,) whether an image equals the one before.
         images: by side, some decoded images.
@@ -107,6 +110,7 @@ class Survey:
     setup: SensorSetup
     streams: dict[str, Stream] = field(default_factory=dict)
     imu: ImuSeries = field(default_factory=ImuSeries)
+    unmatched: int = 0
     problems: list[str] = field(default_factory=list)
     initial: list[NavEstimate] = field(default_factory=list)
     child_frames: dict[str, str] = field(default_factory=dict)
@@ -172,6 +176,7 @@ class _Reader:
         self._errors: dict[str, list[str]] = {role: [] for role in self._roles.values()}
         self._unmoved = UnmovedFrames()
         self._truth = TruthSeries()
+        self._split: SplitImu[ImuSample] | None = SplitImu() if config.topics.accel else None
         self._checksums: dict[str, list[int]] = {side: [] for side in SIDES}
         self._pairer: StereoPairer[RawMessage | None] = StereoPairer(
             tolerance_ns=round(config.pair_tolerance_s * NS_PER_S)
@@ -213,13 +218,17 @@ class _Reader:
         for side, checksums in self._checksums.items():
             self.found.repeated[side] = np.diff(np.array(checksums, np.int64), prepend=-1) == 0
         self.found.truth = self._truth.track() if self._truth else None
+        self.found.unmatched = self._split.unmatched if self._split else 0
         return self.found
 
     def _add_message(self, role: str, built: Any) -> None:
         if role == "imu":
             if self.found.setup.imu_frame is None:
                 self.found.setup.imu_frame = built.header.frame_id
-            self.found.imu.extend([imu_of(built)])
+            self._add_reading(imu_of(built))
+        elif role == "accel":
+            self.found.child_frames.setdefault(role, built.header.frame_id)
+            self._add_force(imu_of(built))
         elif role == "truth":
             self.found.child_frames.setdefault(role, getattr(built, "child_frame_id", ""))
             self._truth.add(truth_of(built))
@@ -230,6 +239,19 @@ class _Reader:
             side = role.removesuffix("_info")
             if side not in self.found.setup.cameras:
                 self.found.setup.add_camera(side, built)
+
+    def _add_reading(self, reading: ImuSample) -> None:
+        if self._split is None:
+            self.found.imu.extend([reading])
+        else:
+            self._add_complete(self._split.add_gyro(reading.stamp_ns, reading))
+
+    def _add_force(self, reading: ImuSample) -> None:
+        if self._split is not None:
+            self._add_complete(self._split.add_accel(reading.stamp_ns, reading.accel))
+
+    def _add_complete(self, complete: list[tuple[ImuSample, Array]]) -> None:
+        self.found.imu.extend(ImuSample(one.stamp_ns, one.gyro, force) for one, force in complete)
 
     def _add_image(self, side: str, raw: RawMessage) -> None:
         number = len(self._checksums[side])

@@ -65,7 +65,7 @@ def unlike_gravity(force: float, imu: ImuConfig) -> str:
         return ""
     return (
         f"the accelerometer measures {force:.3g} m/s^2, where gravity is {imu.gravity:.3g}: check its unit and scale, "
-        "and that it is on the topic of the gyroscope"
+        "and that it is on the topic of the gyroscope, or named by input.topics.accel"
     )
 
 

@@ -54,7 +54,7 @@ def check_imu(
         The findings, and the noise by sensor; empty where it can't be measured.
     """
     raw = survey.imu.gyro, survey.imu.accel
-    found = imu_readings.check_finite(*raw)
+    found = imu_readings.check_finite(*raw) + imu_readings.check_united(len(survey.imu), survey.unmatched)
     if not readings:
         return found, {}
     readings, left_out = imu_readings.without_outliers(readings)

@@ -28,6 +28,16 @@ def check_finite(gyro: Array, accel: Array) -> list[Finding]:
     return [judge("IMU readings", seen, "finite numbers", "such readings are dropped: correct the driver")]
 
 
+def check_united(united: int, unmatched: int) -> list[Finding]:
+    """Check how many readings of the gyroscope had none of an accelerometer that has a topic of its own."""
+    total = united + unmatched
+    if unmatched <= limits.LOST_SHARE * total:
+        return []
+    judge = error if unmatched > limits.UNUSABLE_SHARE * total else warning
+    seen = f"{unmatched} of {total} readings of the gyroscope have none of the accelerometer on both sides within 0.1 s"
+    return [judge("accelerometer", seen, "one clock, no gaps", "they are left out: record both sensors throughout")]
+
+
 def without_outliers(readings: ImuSeries) -> tuple[ImuSeries, list[Finding]]:
     """Return the readings, of those in stamp order, that the graph uses, and how many it leaves out."""
     outliers, used, left_out = OutlierFilter(), ImuSeries(), list[Judged]()
@@ -103,7 +113,10 @@ def check_stuck(readings: Array, sensor: str) -> list[Finding]:
     if not stuck:
         return []
     if len(stuck) == 3 and not readings.any():
-        seen, remedy = "all readings are zero", "record a topic that holds both sensors (unite them in the driver)"
+        seen, remedy = (
+            "all readings are zero",
+            ("record a topic that holds both sensors (unite them in the driver), or set input.topics.accel"),
+        )
     else:
         seen, remedy = f"constant on {', '.join(stuck)}", "repair or replace the sensor"
     return [error(sensor, seen, "readings that vary by noise at least", remedy)]

@@ -80,12 +80,16 @@ def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
     infos = _of_type(topics, "left_info")
     seeing = {_namespace(topic) for topic in _of_type(recorded, "left")}
     imus = _of_type(topics, "imu") or [one for one in _of_type(recorded, "imu") if _namespace(one) not in seeing]
+    accels = {one: accel for one in imus if (accel := one.replace("gyro", "accel")) != one and accel in imus}
+    imus = [one for one in imus if one not in accels.values()]
+    imus.sort(key=lambda t: (-sum(w in t for w in IMU_WORDS), -recorded[t].count, t))
     return Guess(
         stereo,
         {
             "left_info": _nearest(left, infos),
             "right_info": _nearest(right, infos),
-            "imu": sorted(imus, key=lambda t: (-sum(w in t for w in IMU_WORDS), -recorded[t].count, t)),
+            "imu": imus,
+            "accel": [accels[one] for one in imus[:1] if one in accels],
             "initial_state": sorted(_of_type(topics, "initial_state"), key=lambda t: (topics[t].count, t)),
             "truth": [t for t in sorted(_of_type(topics, "truth")) if any(word in t.lower() for word in TRUTH_WORDS)],
         },
@@ -94,8 +98,11 @@ def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
 
 def topics_to_set(recorded: Mapping[str, TopicInfo], guess: Guess, vehicle: str, config: InputConfig) -> dict[str, str]:
     """Return the guessed topics, by role, where nothing that can be read is under the configured names."""
-    best = guess.best.items()
-    return {role: topic for role, topic in best if topic_of(recorded, vehicle, config, role) is None}
+    best = guess.best
+    chosen = {role: topic for role, topic in best.items() if topic_of(recorded, vehicle, config, role) is None}
+    if chosen.get("imu", config.topic(vehicle, "imu")) != best.get("imu"):
+        chosen.pop("accel", None)  # of another IMU
+    return chosen
 
 
 def configuration_block(
@@ -138,7 +145,8 @@ def configuration_block(
 
 def check_topics(survey: Survey, guess: Guess) -> list[Finding]:
     """Check that all topics are there, hold messages of the right type, and can be read."""
-    needed = ["left", "right", "imu"] + [f"{side}_info" for side in survey.setup.missing_infos]
+    needed = ["left", "right", "imu", *(["accel"] if survey.input.topics.accel else [])]
+    needed += [f"{side}_info" for side in survey.setup.missing_infos]
     found = [finding for role in needed for finding in _check_presence(survey, role, guess)]
     for role in TYPES:
         if role not in needed and topic_of(survey.topics, survey.vehicle, survey.input, role) is None:
@@ -218,6 +226,8 @@ def check_frames(survey: Survey) -> list[Finding]:
     if survey.imu and setup.imu_unnamed:
         remedy = "set input.frames.imu if it is elsewhere"
         found.append(warning("IMU frame", "header.frame_id is empty, so the IMU counts as the body", "a name", remedy))
+    if turned := setup.turned_accel(survey.child_frames.get("accel", "")):
+        found.append(error("accelerometer frame", turned, "the gyroscope's axes", "unite them in the driver"))
     if setup.shares_frame and setup.T_left_right_of_infos is not None:
         seen = f"both cameras have {setup.camera_frame('left')}: P of camera_info places the right one"
         found.append(ok("frames", seen))

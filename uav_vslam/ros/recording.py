@@ -17,6 +17,7 @@ from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, iter_readable, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
+from uav_vslam.datasets.united_imu import united
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ros.recorded import FRAME_PARTS, FrameShape, Kind, Recorded
@@ -69,12 +70,15 @@ class Recording:
         inputs = dict(inputs or {})
         self.vehicles = tuple(vehicles) or tuple(inputs) or tuple(vehicles_of(paths))
         self._setups = {name: SensorSetup.of(name, inputs.get(name, InputConfig())) for name in self.vehicles}
+        self._gyro_topics: dict[str, str] = {}  # by the accelerometer's, whose readings the gyroscope's messages get
+        for vehicle, setup in self._setups.items():
+            self._gyro_topics |= setup.config.gyro_topics(vehicle)
         self._roles = {topic: (vehicle, role) for vehicle in self.vehicles for role, topic in self._named(vehicle)}
         self.topics = {topic: info for topic, info in known.items() if self._is_input(topic)}
         self.damage: list[str] = []
         self.left_out: Counter[str] = Counter()
         for vehicle in self.vehicles:
-            self._require(vehicle)
+            self._require(vehicle, known)
         self.latched = self._read_latched()
         if TF in known and TF_STATIC not in known:
             self._borrow_frames()
@@ -122,9 +126,9 @@ class Recording:
         """
         latched = {raw.topic for raw in self.latched}
         topics = [topic for topic in self.topics if topic not in latched]
-        streams = [UpToDamage(iter_raw([path], topics)) for path in self._paths]
+        streams = [UpToDamage(iter_raw([path], [*topics, *self._gyro_topics])) for path in self._paths]
         newest_ns: int | None = None
-        for raw in heapq.merge(*streams, key=lambda raw: raw.stamp_ns):
+        for raw in united(heapq.merge(*streams, key=lambda raw: raw.stamp_ns), self._gyro_topics):
             vehicle, kind = self.classify(raw.topic)
             if not (_is_valid(raw) if kind is not Kind.OTHER else len(raw.data) >= LEAST_BYTES):  # no node answers it
                 self.left_out[raw.topic] += 1
@@ -165,6 +169,8 @@ class Recording:
 
     def _is_input(self, topic: str) -> bool:
         vehicle, _ = self.classify(topic)
+        if topic in self._gyro_topics:
+            return False
         if topic in self._roles:
             return self._roles[topic][1] != INITIAL_STATE or vehicle not in self._finding_start
         name = topic.removeprefix(f"/{vehicle}/")
@@ -178,7 +184,7 @@ class Recording:
         counts = [info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, kind)]
         return max(counts, default=0)
 
-    def _require(self, vehicle: str) -> None:
+    def _require(self, vehicle: str, known: Mapping[str, TopicInfo]) -> None:
         bags = ", ".join(map(str, self._paths))
         recorded = {self.classify(topic) for topic in self.topics}
         for kind in (Kind.LEFT, Kind.RIGHT, Kind.IMU):
@@ -186,6 +192,9 @@ class Recording:
                 names = " or ".join(t for t in self._roles if self.classify(t) == (vehicle, kind))
                 held = ", ".join(vehicles_of(self._paths)) or "none"
                 raise BagError(f"{bags}: no {names} for vehicle {vehicle}; vehicles recorded: {held}")
+        for accel in self._setups[vehicle].config.gyro_topics(vehicle):
+            if accel not in known:
+                raise BagError(f"{bags}: no {accel} for vehicle {vehicle}; correct input.topics.accel")
         infos, images = self._count(vehicle, Kind.INFO), self.frames(vehicle)
         if self._setups[vehicle].needs_infos and infos and 2 * infos < images:
             raise BagError(
