@@ -112,7 +112,7 @@ class Meeting:
     feature_names: np.ndarray
 
     def recognise(self, rows: np.ndarray, features: StereoFeatures | None = None, **options) -> np.ndarray:
-        config = BackendConfig(**options)
+        config = BackendConfig(**{"redetection_px": 0.0} | options)  # they are seen exactly where they were
         return recognise(
             self.slam_filter, self.landmark_map, self.features if features is None else features, rows, config=config
         )

@@ -81,8 +81,8 @@ class BackendConfig(Settings):
         True, "observations that fit badly after the update are down-weighted (Huber), the update repeated"
     )
     pnp_px: float = setting(4.0, "reprojection error of a PnP inlier", unit="px", above=0)
-    redetection_px: float = setting(
-        0.0, "standard deviation between two detections of one place, long apart", unit="px", at_least=0
+    redetection_px: float = setting(  # seen by the closures of `uav-vslam study revisit`
+        0.7, "standard deviation between two detections of one place, long apart", unit="px", at_least=0
     )
     chance_revisits: float = setting(
         0.05,

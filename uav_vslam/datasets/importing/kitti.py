@@ -47,7 +47,6 @@ SETTINGS = {  # of a car on a road, with a baseline of 0.54 m
     "frontend.min_depth_m": 3.0,
     "frontend.max_depth_m": 100.0,
     "backend.depth_sigma_ratio": 0.0,
-    "backend.redetection_px": 0.7,
 }
 NO_IMU = (
     "KITTI odometry has no IMU, and the graph needs one: this bag holds images, calibration and poses only. Import "

@@ -27,7 +27,6 @@ SETTINGS = {  # of a hand-held rig with a baseline of 0.1 m and small images
     "frontend.search_scale": 1.0,
     "frontend.scale": 1.0,
     "backend.depth_sigma_ratio": 0.0,
-    "backend.redetection_px": 0.7,
     "backend.retention": "most_observed",
 }
 

@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 Found = TypeVar("Found")
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
 RELIEF_PER_ALTITUDE = 0.03  # as in the default scenario
+EXACT = {"backend.redetection_px": 0.0}  # at landmark level, where a landmark is detected alike however long after
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,6 +242,11 @@ def kagaru_configs(variants: Mapping[str, dict[str, object]]) -> dict[str, Vehic
         ConfigError: a key or value is wrong.
     """
     return {name: load_vehicle(find_config("kagaru"), overrides=keys) for name, keys in variants.items()}
+
+
+def exact_config() -> VehicleConfig:
+    """Return the configuration of flights at landmark level."""
+    return load_vehicle(None, overrides=EXACT)
 
 
 def with_backend(config: VehicleConfig, **changes: Any) -> VehicleConfig:

@@ -21,7 +21,7 @@ from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import FLEET, Scenario, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.flights import exact_config, true_trajectory
 from uav_vslam.types import JointInformation, PoseEstimate
 from uav_vslam.vision.matching.nn_ratio import squared_distances
 
@@ -51,7 +51,7 @@ def fly_own_only(
     """Fly every vehicle alone, at landmark level, all in one frame; the scenario's IMU replaces `config.imu`."""
     vehicles = simulate_fleet(scenario)
     landmarks = scatter_landmarks(vehicles)
-    config = dataclasses.replace(config or VehicleConfig(), imu=scenario.imu_config)
+    config = dataclasses.replace(config or exact_config(), imu=scenario.imu_config)
     tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks, noise), config) for v in vehicles}
     return OwnOnlyTracks(tracks, {v.name: true_trajectory(v) for v in vehicles}, landmarks)
 

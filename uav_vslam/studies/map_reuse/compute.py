@@ -23,7 +23,7 @@ from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.saved_map import save_map
-from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.flights import exact_config, true_trajectory
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, median, rms
 from uav_vslam.studies.engine.scores import errors_and_nees
 from uav_vslam.studies.engine.separate_frames import with_joints
@@ -134,7 +134,7 @@ def run_seed(job: Job) -> list[Flight]:
     scenario = dataclasses.replace(
         base, seed=job.seed, frames=job.frames, vehicles=3, imu=job.imu, sigma_position_m=SIGMA_START_M
     )
-    config = load_vehicle(find_config("sample")) if job.rendered else VehicleConfig()
+    config = load_vehicle(find_config("sample")) if job.rendered else exact_config()
     config = dataclasses.replace(config, imu=scenario.imu_config)
     vehicles = simulate_fleet(scenario)
     sources = _sources(vehicles, rendered=job.rendered)

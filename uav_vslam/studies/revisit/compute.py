@@ -17,7 +17,7 @@ from uav_vslam.simulation.terrain import relief_of
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.landmark_map import LONG_FRAMES
 from uav_vslam.studies.engine.extracted_flights import ground_points
-from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.flights import EXACT, true_trajectory
 from uav_vslam.studies.engine.own_only import Flight, Run, dead_reckon, run_backend
 from uav_vslam.studies.engine.pool import in_pool
 from uav_vslam.types import StereoFeatures
@@ -117,8 +117,8 @@ def revisit_jobs(
     methods = {**(variants or {"retained": {}}), FORGETTING: {"backend.retention": "none"}}
     jobs = []
     for level, level_seeds in ((LANDMARK, seeds), (RENDERED, rendered)):
-        file = find_config("kagaru") if level == RENDERED else None
-        configs = {name: load_vehicle(file, overrides=dict(keys)) for name, keys in methods.items()}
+        file, exact = (find_config("kagaru"), {}) if level == RENDERED else (None, EXACT)
+        configs = {name: load_vehicle(file, overrides=exact | dict(keys)) for name, keys in methods.items()}
         jobs += [Job(level, dataclasses.replace(scenario, seed=seed), configs) for seed in level_seeds]
     return jobs
 

@@ -69,4 +69,6 @@ def _scenario(steps: int) -> Scenario:
 
 def _config(sigma_px: float) -> VehicleConfig:
     """There are no wrong matches here, so PnP is not needed, and with such noise its pose is worse."""
-    return with_backend(VehicleConfig(), sigma_px=sigma_px, pnp_px=4.0 * sigma_px, pnp_beyond_px=1e6)
+    return with_backend(
+        VehicleConfig(), sigma_px=sigma_px, pnp_px=4.0 * sigma_px, pnp_beyond_px=1e6, redetection_px=0.0
+    )
