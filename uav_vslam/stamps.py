@@ -21,6 +21,7 @@ RUN_S = 0.5  # a clock that was set shows in stamps that agree for so long,
 RUN_LENGTH = 5  # and in so many of them
 FAULT_S = 2.0  # a stream that has left the time line alone for so long is a fault: the others should have followed
 BEHIND_S = 0.5  # normal delay between streams
+DISAGREEING = "do their clocks agree, and does the computer keep up?"
 MAX_HELD = 2000  # of a run, then the oldest goes: 10 s of readings at 200 Hz, while slower streams follow
 
 
@@ -49,7 +50,11 @@ class TimeJump:
         return self.to_ns <= self.from_ns
 
     def __str__(self) -> str:
-        return f"the clock of {self.streams} jumped by {self.size_s:+.1f} s, from {self.from_ns} to {self.to_ns} ns"
+        or_silent = "" if self.is_back else ", or they were silent"
+        return (
+            f"the clock of {self.streams} jumped by {self.size_s:+.1f} s{or_silent}, from {self.from_ns} to "
+            f"{self.to_ns} ns"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,10 +250,10 @@ class TimeLine(Generic[T]):
         stream = self._streams[name]
         if stream.newest_ns is None:  # never on the time line: the reference is elsewhere
             apart_s = (stream.run_ns - (self._streams[self._reference].newest_ns or 0)) / NS_PER_S
-            return f"{name} stamps are {apart_s:+.1f} s from those of {self._reference}: do their clocks agree?"
+            return f"{name} stamps are {apart_s:+.1f} s from those of {self._reference}: {DISAGREEING}"
         still = [key for key in self._streams if key != name and not self._is_confirmed(key)]
         text = f"{name} stamps jump by {stream.off_ns / NS_PER_S:+.1f} s to {stream.run_ns} ns"
-        return f"{text}, but not those of {' and '.join(still)}: do their clocks agree?" if still else text
+        return f"{text}, but not those of {' and '.join(still)}: {DISAGREEING}" if still else text
 
 
 def _has_begun_after(stream: _Stream[T], jumped: _Stream[T]) -> bool:
