@@ -99,7 +99,9 @@ def test_images_of_another_clock_from_the_beginning_are_told_with_the_difference
         feed(line, [stamp_ns], ("IMU",))
         feed(line, [stamp_ns + 3600 * NS_PER_S], ("image",))
     assert passed == {"IMU": seconds(0, 4), "image": []}
-    assert line.faults == {"image": "image stamps are +3600.0 s from those of IMU: do their clocks agree, and does the computer keep up?"}
+    assert line.faults == {
+        "image": "image stamps are +3600.0 s from those of IMU: do their clocks agree, and does the computer keep up?"
+    }
 
 
 @pytest.mark.parametrize("name", ["IMU", "image"])
