@@ -23,6 +23,7 @@ from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.inspection.topics import check_frames
 from uav_vslam.ros.recording import Recording
 from uav_vslam.studies.recordings.foreign import IMU_FRAME, edited, rewritten, with_imu_edge
+from uav_vslam.studies.recordings.ros1 import write_ros1
 from uav_vslam.types import ImuSample
 
 APART = InputConfig(topics=TopicsConfig(imu=GYRO, accel=ACCEL))
@@ -41,6 +42,14 @@ def test_each_angular_rate_has_the_specific_force_between_its_neighbours(tiny_ba
     np.testing.assert_array_equal([one.gyro for one in found], [one.gyro for one in inner])
     expected = forces_at(np.array([one.stamp_ns for one in found]), bag)
     np.testing.assert_allclose([one.accel for one in found], expected, rtol=0, atol=1e-12)
+
+
+def test_a_ros_1_bag_has_the_same_readings(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = split(tiny_bag, tmp_path / "bag")
+    old = write_ros1(bag, tmp_path / "flight.bag")
+    np.testing.assert_array_equal(
+        [one.accel for one in readings(old, APART)], [one.accel for one in readings(bag, APART)]
+    )
 
 
 def test_the_replay_publishes_the_readings_that_the_offline_reader_has(tiny_bag: Path, tmp_path: Path) -> None:
