@@ -11,7 +11,7 @@ import pytest
 from split_bag import ACCEL, GYRO, forces_at, split
 
 from uav_vslam.cli.main import main
-from uav_vslam.config import InputConfig
+from uav_vslam.config import InputConfig, VehicleConfig
 from uav_vslam.config.input import TopicsConfig
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.cdr import RawMessage, decode
@@ -20,12 +20,14 @@ from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.datasets.survey import survey_flight
 from uav_vslam.datasets.united_imu import united
 from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.inspection.recording import inspect_bags
 from uav_vslam.inspection.topics import check_frames
 from uav_vslam.ros.recording import Recording
 from uav_vslam.studies.recordings.foreign import IMU_FRAME, edited, rewritten, with_imu_edge
 from uav_vslam.studies.recordings.ros1 import write_ros1
 from uav_vslam.types import ImuSample
 
+ROOT = Path(__file__).parents[2]
 APART = InputConfig(topics=TopicsConfig(imu=GYRO, accel=ACCEL))
 
 
@@ -74,6 +76,18 @@ def test_the_survey_judges_the_united_readings(tiny_bag: Path, tmp_path: Path) -
     np.testing.assert_array_equal(survey.imu.stamps_ns, [one.stamp_ns for one in own])
     np.testing.assert_array_equal(survey.imu.accel, [one.accel for one in own])
     assert survey.unmatched <= 2
+    forces = [imu_of(decode(raw)).accel for raw in iter_raw([bag], [ACCEL])]
+    np.testing.assert_array_equal(survey.forces.accel, forces)
+
+
+def test_the_noise_of_the_accelerometer_is_that_of_its_own_readings(tmp_path: Path) -> None:
+    """Half as many readings with the same scatter; those in between are smooth."""
+    bag = split(ROOT / "bags" / "sample", tmp_path / "bag")
+    levels = [
+        inspect_bags((path,), "uav1", VehicleConfig(input=config))[1].noise["accelerometer"].recommended
+        for path, config in ((ROOT / "bags" / "sample", InputConfig()), (bag, APART))
+    ]
+    assert levels[1] == pytest.approx(np.sqrt(2.0) * levels[0], rel=0.1)
 
 
 def test_a_cut_has_one_topic_for_both(tiny_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

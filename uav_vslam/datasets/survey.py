@@ -91,7 +91,8 @@ class Survey:
         topics: all of the recording.
         streams: by role, a field of `TopicsConfig`; those that were recorded with a type that can be read.
         imu: readings in the IMU's own axes.
-        unmatched: how many readings of the gyroscope had none of an accelerometer on a topic of its own.
+        forces: readings of an accelerometer on a topic of its own.
+        unmatched: how many readings of the gyroscope had none of these.
         setup: calibration.
         problems: why the calibration files or /tf_static can't be read.
         initial: start states.
@@ -110,6 +111,7 @@ class Survey:
     setup: SensorSetup
     streams: dict[str, Stream] = field(default_factory=dict)
     imu: ImuSeries = field(default_factory=ImuSeries)
+    forces: ImuSeries = field(default_factory=ImuSeries)
     unmatched: int = 0
     problems: list[str] = field(default_factory=list)
     initial: list[NavEstimate] = field(default_factory=list)
@@ -247,6 +249,7 @@ class _Reader:
             self._add_complete(self._split.add_gyro(reading.stamp_ns, reading))
 
     def _add_force(self, reading: ImuSample) -> None:
+        self.found.forces.extend([ImuSample(reading.stamp_ns, np.zeros(3), reading.accel)])
         if self._split is not None:
             self._add_complete(self._split.add_accel(reading.stamp_ns, reading.accel))
 

@@ -14,10 +14,11 @@ from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.inspection import imu_readings, limits
 from uav_vslam.inspection.finding import Finding, Severity, count
-from uav_vslam.inspection.imu_noise import NoiseLevels, at_rest, check_noise, noise_levels
+from uav_vslam.inspection.imu_noise import NoiseLevels, at_rest, check_noise, noise_level, noise_levels
 from uav_vslam.inspection.motion import rotations_by_cameras, rotations_by_truth, up_of_truth
 from uav_vslam.inspection.rotation import check_rate_size, check_rotation
 from uav_vslam.inspection.views import Views
+from uav_vslam.search import nearest
 from uav_vslam.types import NS_PER_S, ImuSample
 
 Array = NDArray[np.float64]
@@ -73,7 +74,12 @@ def check_imu(
     found += [*units, *rates]
     if count([*units, *rates], Severity.ERROR):  # noise in other units would mislead
         return found, {}
-    noise = noise_levels(stamps, gyro, measured, config.imu, at_rest(stamps, gyro, measured))
+    resting = at_rest(stamps, gyro, measured)
+    noise = noise_levels(stamps, gyro, measured, config.imu, resting)
+    if survey.forces:  # what is between them is smooth
+        own = ImuSeries(_increasing(survey.forces))
+        near = resting[nearest(own.stamps_ns, stamps)]
+        noise["accelerometer"] = noise_level(own.stamps_ns, own.accel, config.imu.accel_noise, near)
     return [*found, *check_noise(noise)], noise
 
 

@@ -71,16 +71,18 @@ def noise_levels(
         imu: configured densities.
         resting: (N,) whether the vehicle rests.
     """
-    levels = {}
-    for sensor, readings, configured in (
-        ("gyroscope", gyro, imu.gyro_noise),
-        ("accelerometer", accel, imu.accel_noise),
-    ):
-        rest, flight = (_octaves(stamps_ns, readings, mask) for mask in (resting, ~resting))
-        octaves = rest if flight is None else flight
-        white = () if octaves is None else tuple(octaves.min(axis=0).tolist())
-        levels[sensor] = NoiseLevels(configured, _whole(rest), _whole(flight), white)
-    return levels
+    return {
+        "gyroscope": noise_level(stamps_ns, gyro, imu.gyro_noise, resting),
+        "accelerometer": noise_level(stamps_ns, accel, imu.accel_noise, resting),
+    }
+
+
+def noise_level(stamps_ns: NDArray[np.int64], readings: Array, configured: float, resting: Mask) -> NoiseLevels:
+    """Return the noise of one sensor, whose (N, 3) readings have (N,) stamps of its own; see `noise_levels`."""
+    rest, flight = (_octaves(stamps_ns, readings, mask) for mask in (resting, ~resting))
+    octaves = rest if flight is None else flight
+    white = () if octaves is None else tuple(octaves.min(axis=0).tolist())
+    return NoiseLevels(configured, _whole(rest), _whole(flight), white)
 
 
 def check_noise(levels: dict[str, NoiseLevels]) -> list[Finding]:
