@@ -177,6 +177,7 @@ def test_settings_are_compared_by_their_full_names() -> None:
         ("summary.json", "[1, 2]", "holds no figures"),
         ("summary.json", "{}", "lists no vehicles"),  # of another program
         ("summary.json", '{"vehicles": {"uav1": 3}}', "lists no vehicles"),
+        ("summary.json", '{"vehicles": {"uav1": {}}}', "lacks 'pooled'"),
         ("config.yaml", "a: [", "is no"),
         ("config.yaml", "3", "is no"),
         ("uav1_frames.csv", "", "is empty"),  # the disk was full

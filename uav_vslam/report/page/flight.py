@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,17 @@ from uav_vslam.types import NS_PER_S
 Figures = dict[str, Any]
 
 TABLES = ("frames", "link", "timing", "landmarks")
+
+
+class _Tree(dict[str, Any]):
+    """A tree of a file."""
+
+    def __init__(self, path: Path, content: Figures) -> None:
+        super().__init__(content)
+        self._path = path
+
+    def __missing__(self, name: str) -> Any:
+        raise UavVslamError(f"{self._path} lacks {name!r}: it is damaged, or of another version; run again")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +96,13 @@ def read_flight(folder: Path, label: str) -> FlightFiles:
 
 
 def read_json(path: Path) -> Figures:
-    """Read a tree.
+    """Read a tree, in which to look up a name that it lacks is an error of the file.
 
     Raises:
         UavVslamError: the file is missing, is no JSON, or holds no tree.
     """
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
+        tree = json.loads(path.read_text(encoding="utf-8"), object_hook=partial(_Tree, path))
     except OSError as error:
         raise UavVslamError(
             f"{path} can't be read: {error.strerror}; name the results of a flight, a study or a mosaic"

@@ -70,8 +70,8 @@ def _warnings(tree: dict[str, Any]) -> Markup | None:
 def _quality(tree: dict[str, Any], folder: Path) -> Markup:
     try:
         lines = rows(tree)
-    except (KeyError, TypeError) as error:
-        raise UavVslamError(f"{folder / MOSAIC} lacks {error}; make the mosaic again") from None
+    except TypeError as error:
+        raise UavVslamError(f"{folder / MOSAIC} is damaged ({error}); make the mosaic again") from None
     return table(["Figure", "Value"], [[name, (value, "number")] for name, value in lines], caption="Quality")
 
 
