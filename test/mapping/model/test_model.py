@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model has the shape of the surface and the colours of the ground, in the axes that each format prescribes."""
 
+import dataclasses
 import json
 import struct
 from pathlib import Path
@@ -11,6 +12,7 @@ import trimesh
 from flown_scene import Scene, waves
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.model import write_model
 from uav_vslam.mapping.model.files import LARGEST_GLB_BYTES
 from uav_vslam.mapping.model.triangles import mesh_of, simplified
@@ -39,6 +41,7 @@ def colours(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 SCENE = Scene(block, colours)
+EAST, NORTH = 500_000.0, 6_900_000.0
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +119,21 @@ def test_ply_is_z_up_with_colours_of_vertices(made: Path) -> None:
     assert (red > 180).all()
     assert (np.maximum(green, blue) < 90).all()
     np.testing.assert_allclose(ply.vertices[spot][:, 2], 0.05 * ply.vertices[spot][:, 0], atol=0.05)
+
+
+def test_the_model_of_a_map_in_utm_is_as_exact(made: Path, views: list[View], tmp_path: Path) -> None:
+    """Single precision has steps of 0.5 m at its northings."""
+    scene = Scene(lambda x, y: block(x - EAST, y - NORTH), lambda x, y: colours(x - EAST, y - NORTH))
+    mosaic = Orthomosaic(scene, 0.1)
+    for view in views:
+        moved = Pose(view.T_map_cam.R, view.T_map_cam.t + np.array([EAST, NORTH, 0.0]))
+        mosaic.add(dataclasses.replace(view, T_map_cam=moved))
+    written = write_model(scene, mosaic, tmp_path)
+    near, far = (baked(folder / "model.glb")["ground"] for folder in (made, tmp_path))
+    np.testing.assert_allclose(far.vertices - [EAST, 0.0, -NORTH], near.vertices, atol=1e-3)
+    near, far = (trimesh.load(folder / "model.ply") for folder in (made, tmp_path))
+    moved_m = np.array(written["ply_origin_m"]) - [EAST, NORTH, 0.0]
+    np.testing.assert_allclose(far.vertices + moved_m, near.vertices, atol=1e-3)
 
 
 def test_an_even_surface_needs_few_triangles_and_keeps_its_heights() -> None:

@@ -3,6 +3,8 @@
 
 PLY has the map's axes (x east, y north, z up) and a colour per vertex. glTF prescribes y up: GLB has x east, y up,
 z south, which three.js and other viewers show upright as it is. Coordinates are metres from the map's origin in both.
+Both hold single precision, half a metre at the northings of UTM: far from the map's origin vertices are relative to a
+point near them, to which GLB's nodes move them; of PLY, which has none, it is stated.
 """
 
 import io
@@ -34,6 +36,7 @@ TEXTURE_SHARE = 0.68  # of these
 TRIANGLES = 30_000  # of GLB, about 22 bytes each
 PLY_TRIANGLES = 200_000
 LONGEST_TEXTURE_PX = 4096  # that every graphics card takes
+FAR_M = 20_000.0  # from the map's origin, where single precision resolves 2 mm
 Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -55,7 +58,7 @@ def write_model(
         cell_m: side of a cell of the mesh [m].
 
     Returns:
-        "triangles" and "bytes" of the GLB.
+        "triangles" and "bytes" of the GLB; where it is not zero "ply_origin_m" (x, y, z), to which the PLY is relative.
 
     Raises:
         UavVslamError: the mosaic is empty, no height is known under it, or a file can't be written.
@@ -70,12 +73,20 @@ def write_model(
     coarse = simplified(mesh, TRIANGLES)
     walls = coarse.part(coarse.steep)
     shades = wall_colours(walls, _inside(walls, colour, picture.raster, cell_m), views(), heights, raster)
-    glb = folder / "model.glb"
-    _write(glb, _scene(coarse.part(~coarse.steep), colour, picture.raster, walls, shades).export(file_type="glb"))
-    _write(
-        folder / "model.ply", _coloured(simplified(mesh, PLY_TRIANGLES), colour, picture.raster).export(file_type="ply")
-    )
-    return {"triangles": len(coarse.faces), "bytes": glb.stat().st_size}
+    origin, glb = _origin(picture.raster), folder / "model.glb"
+    scene = _scene(coarse.part(~coarse.steep), colour, picture.raster, walls, shades, origin)
+    _write(glb, scene.export(file_type="glb"))
+    coloured = _coloured(simplified(mesh, PLY_TRIANGLES), colour, picture.raster, origin)
+    _write(folder / "model.ply", coloured.export(file_type="ply"))
+    moved = {"ply_origin_m": origin.tolist()} if origin.any() else {}
+    return {"triangles": len(coarse.faces), "bytes": glb.stat().st_size} | moved
+
+
+def _origin(raster: Raster) -> Array:
+    """Return what the files' vertices are relative to: the map's origin, if that is not too far."""
+    west, south, east, north = raster.bounds_m
+    centre = np.array([0.5 * (west + east), 0.5 * (south + north), 0.0])
+    return np.rint(centre) if np.abs(centre).max() > FAR_M else np.zeros(3)
 
 
 def _write(path: Path, content: Any) -> None:
@@ -116,27 +127,30 @@ def _looked_up(colour: NDArray[np.uint8], raster: Raster, points: Array) -> Arra
     return np.asarray(found, dtype=float)
 
 
-def _scene(ground: Mesh, colour: NDArray[np.uint8], raster: Raster, walls: Mesh, shades: Array) -> trimesh.Scene:
-    scene = trimesh.Scene()
+def _scene(
+    ground: Mesh, colour: NDArray[np.uint8], raster: Raster, walls: Mesh, shades: Array, origin: Array
+) -> trimesh.Scene:
+    scene, place = trimesh.Scene(), trimesh.transformations.translation_matrix(origin)
     if len(ground.faces):
-        scene.add_geometry(_textured(ground, colour, raster), geom_name="ground", node_name="ground")
+        made = _textured(ground, colour, raster, origin)
+        scene.add_geometry(made, geom_name="ground", node_name="ground", transform=place)
     if len(walls.faces):
         corners = Mesh(walls.vertices[walls.faces].reshape(-1, 3), np.arange(walls.faces.size).reshape(-1, 3))
         rgba = _rgba(np.repeat(shades, 3, axis=0))
-        made = trimesh.Trimesh(corners.vertices, corners.faces, vertex_colors=rgba, process=False)
-        scene.add_geometry(made, geom_name="walls", node_name="walls")
+        made = trimesh.Trimesh(corners.vertices - origin, corners.faces, vertex_colors=rgba, process=False)
+        scene.add_geometry(made, geom_name="walls", node_name="walls", transform=place)
     scene.apply_transform(Y_UP)
     return scene
 
 
-def _textured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.Trimesh:
+def _textured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster, origin: Array) -> trimesh.Trimesh:
     west, south, east, north = raster.bounds_m
     uv = (mesh.vertices[:, :2] - [west, south]) / [east - west, north - south]
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=_texture(colour), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
     )
     visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
+    return trimesh.Trimesh(mesh.vertices - origin, mesh.faces, visual=visual, process=False)
 
 
 def _texture(colour: NDArray[np.uint8]) -> PillowImage.Image:
@@ -155,9 +169,9 @@ def _texture(colour: NDArray[np.uint8]) -> PillowImage.Image:
         scale *= 0.85
 
 
-def _coloured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.Trimesh:
+def _coloured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster, origin: Array) -> trimesh.Trimesh:
     rgba = _rgba(_looked_up(colour, raster, mesh.vertices))
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=rgba, process=False)
+    return trimesh.Trimesh(mesh.vertices - origin, mesh.faces, vertex_colors=rgba, process=False)
 
 
 def _rgba(bgr: Array) -> NDArray[np.uint8]:
