@@ -178,7 +178,7 @@ class _Reader:
         self._errors: dict[str, list[str]] = {role: [] for role in self._roles.values()}
         self._unmoved = UnmovedFrames()
         self._truth = TruthSeries()
-        self._split: SplitImu[ImuSample] | None = SplitImu() if config.topics.accel else None
+        self._split: SplitImu[ImuSample] = SplitImu()
         self._checksums: dict[str, list[int]] = {side: [] for side in SIDES}
         self._pairer: StereoPairer[RawMessage | None] = StereoPairer(
             tolerance_ns=round(config.pair_tolerance_s * NS_PER_S)
@@ -220,7 +220,7 @@ class _Reader:
         for side, checksums in self._checksums.items():
             self.found.repeated[side] = np.diff(np.array(checksums, np.int64), prepend=-1) == 0
         self.found.truth = self._truth.track() if self._truth else None
-        self.found.unmatched = self._split.unmatched if self._split else 0
+        self.found.unmatched = self._split.unmatched
         return self.found
 
     def _add_message(self, role: str, built: Any) -> None:
@@ -243,15 +243,14 @@ class _Reader:
                 self.found.setup.add_camera(side, built)
 
     def _add_reading(self, reading: ImuSample) -> None:
-        if self._split is None:
-            self.found.imu.extend([reading])
-        else:
+        if self.found.input.topics.accel:
             self._add_complete(self._split.add_gyro(reading.stamp_ns, reading))
+        else:
+            self.found.imu.extend([reading])
 
     def _add_force(self, reading: ImuSample) -> None:
         self.found.forces.extend([ImuSample(reading.stamp_ns, np.zeros(3), reading.accel)])
-        if self._split is not None:
-            self._add_complete(self._split.add_accel(reading.stamp_ns, reading.accel))
+        self._add_complete(self._split.add_accel(reading.stamp_ns, reading.accel))
 
     def _add_complete(self, complete: list[tuple[ImuSample, Array]]) -> None:
         self.found.imu.extend(ImuSample(one.stamp_ns, one.gyro, force) for one, force in complete)

@@ -113,10 +113,8 @@ def check_stuck(readings: Array, sensor: str) -> list[Finding]:
     if not stuck:
         return []
     if len(stuck) == 3 and not readings.any():
-        seen, remedy = (
-            "all readings are zero",
-            ("record a topic that holds both sensors (unite them in the driver), or set input.topics.accel"),
-        )
+        seen = "all readings are zero"
+        remedy = "record a topic that holds both sensors (unite them in the driver), or set input.topics.accel"
     else:
         seen, remedy = f"constant on {', '.join(stuck)}", "repair or replace the sensor"
     return [error(sensor, seen, "readings that vary by noise at least", remedy)]
