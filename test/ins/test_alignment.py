@@ -5,7 +5,7 @@ import pytest
 from uav_vslam.config import IMU_GRADES
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.rotation import rotation_from_rpy, rpy_from_rotation, so3_exp, so3_log
-from uav_vslam.ins.alignment import levelled, static_alignment
+from uav_vslam.ins.alignment import biased_rest, levelled, static_alignment
 from uav_vslam.types import ImuSample
 
 IMU = IMU_GRADES["consumer"]
@@ -30,6 +30,22 @@ def test_tilt_follows_from_gravity_and_the_bias_from_the_gyroscope(roll, pitch):
     np.testing.assert_allclose(nav.state.gyro_bias, [0.01, -0.02, 0.03], atol=5e-4)
     assert nav.state.stamp_ns == 10**9
     assert np.linalg.eigvalsh(nav.covariance)[0] > 0
+
+
+def test_a_bias_along_gravity_far_beyond_its_sigma_widens_the_start():
+    """It is one draw of a bias of which the other two tilt."""
+    usual, biased = (static_alignment(at_rest_with(bias), 10**9, IMU) for bias in (0.9, 5.0))
+    assert biased_rest(usual, IMU) == ""
+    assert usual.covariance[-1, -1] == pytest.approx(IMU.accel_bias_sigma**2)
+    off = 5.0 * IMU.accel_bias_sigma
+    assert biased.covariance[-1, -1] == pytest.approx(off**2, rel=0.01)
+    assert biased.covariance[6, 6] == pytest.approx((off / IMU.gravity) ** 2, rel=0.01)
+    assert "5.0 times imu.accel_bias_sigma" in biased_rest(biased, IMU)
+
+
+def at_rest_with(sigmas):
+    bias = np.array([0.0, 0.0, sigmas * IMU.accel_bias_sigma])
+    return [ImuSample(s.stamp_ns, s.gyro, s.accel + bias) for s in resting(0.0, 0.0)]
 
 
 def test_an_accelerometer_bias_of_one_sigma_tilts_by_about_one_sigma():

@@ -21,6 +21,7 @@ MOST_FORCE = 2.0  # times gravity, the mean force of a turn at 60 degrees of ban
 SIGMA_ORIGIN_M = 1e-3  # position and heading define the frame, so are known
 SIGMA_HEADING_RAD = 1e-3
 SIGMA_REST = 1e-2  # [m/s]
+MOST_SIGMAS = 3.0  # of the accelerometer's bias along gravity at rest
 
 
 def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) -> NavEstimate:
@@ -45,17 +46,32 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
             f"the vehicle moves (gyro {rate_std:.3f} rad/s, accelerometer {accel_std:.2f} m/s^2 rms): static alignment "
             "needs rest; set start.method: in_flight, or give an initial_state"
         )
-    if unlike := unlike_gravity(float(np.linalg.norm(accel.mean(axis=0))), imu):
+    force = float(np.linalg.norm(accel.mean(axis=0)))
+    if unlike := unlike_gravity(force, imu):
         raise UavVslamError(unlike)
+    bias = abs(force - imu.gravity)  # along gravity; what is across tilts the start
+    sigma_accel_bias = bias if bias > MOST_SIGMAS * imu.accel_bias_sigma else imu.accel_bias_sigma
     return levelled(
         stamp_ns,
         up_body=accel.mean(axis=0),
         v_body=np.zeros(3),
         gyro_bias=gyro.mean(axis=0),
         sigma_velocity=SIGMA_REST,
-        sigma_tilt=imu.accel_bias_sigma / imu.gravity,  # neglecting their correlation is conservative
+        sigma_tilt=sigma_accel_bias / imu.gravity,  # neglecting their correlation is conservative
         sigma_gyro_bias=max(MAX_RATE_STD / np.sqrt(len(samples)) * 0.1, 10 * imu.gyro_bias_walk),
-        sigma_accel_bias=imu.accel_bias_sigma,
+        sigma_accel_bias=sigma_accel_bias,
+    )
+
+
+def biased_rest(start: NavEstimate, imu: ImuConfig) -> str:
+    """Return what a start at rest has found of the accelerometer's bias; empty if it is as configured."""
+    sigma = float(np.sqrt(start.covariance[-1, -1]))
+    if sigma <= imu.accel_bias_sigma:
+        return ""
+    return (
+        f"at rest the accelerometer is {sigma:.2g} m/s^2 off gravity ({imu.gravity:g} m/s^2), "
+        f"{sigma / imu.accel_bias_sigma:.1f} times imu.accel_bias_sigma; the start allows for it: set "
+        f"imu.accel_bias_sigma: {sigma:.2g}, or calibrate the accelerometer"
     )
 
 

@@ -12,7 +12,7 @@ from uav_vslam.datasets.truth import MAX_SPACING_S, spacing_s
 from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.rotation import so3_log
-from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.ins.alignment import MOST_SIGMAS, biased_rest, static_alignment
 from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagation import POSITION, ROTATION, VELOCITY
@@ -169,9 +169,11 @@ def _vector(v: NDArray[np.float64]) -> str:
 
 def _check_static(readings: ImuSeries, images_ns: Stamps, config: VehicleConfig) -> list[Finding]:
     try:
-        _static(readings, images_ns, config)
+        start = _static(readings, images_ns, config)
     except UavVslamError as refused:
         return [error("start state", str(refused), f"rest for {config.start.rest_s:g} s", METHODS)]
+    if biased := biased_rest(start, config.imu):
+        return [warning("start state", biased, f"at most {MOST_SIGMAS:g} sigmas", "see the text")]
     return [ok("start state", f"start.method static: at rest for {config.start.rest_s:g} s")]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import BagError, FilterDivergence, UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.alignment import biased_rest
 from uav_vslam.offline.source import FlightSource, start_state
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.slam.frame_output import FrameOutput
@@ -55,8 +56,9 @@ class VehicleFlight:
         cv2.setNumThreads(1)
         self._source, self._config = source, config
         self._keep_features, self._keep_map, self._smoothing = keep_features, keep_map, smoothing
+        start = start_state(source, config)
         self._pipeline = VehiclePipeline(
-            start_state(source, config),
+            start,
             rig=source.rig,
             config=config,
             vehicle=source.vehicle,
@@ -64,6 +66,8 @@ class VehicleFlight:
             keep_joints=keep_joints,
             keep_map=keep_map,
         )
+        if start is not None and config.start.method == "static" and (biased := biased_rest(start, config.imu)):
+            self.track.warnings.append(biased)
 
     @property
     def track(self) -> VehicleTrack:
