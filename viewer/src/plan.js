@@ -3,7 +3,7 @@
 import { ellipseStretch, extent, poseAt } from "./scene.js";
 import { colour } from "./theme.js";
 
-const MARGIN_PX = { left: 52, right: 14, top: 14, bottom: 40 };
+const MARGIN_PX = { left: 78, right: 14, top: 14, bottom: 40 };
 const NEAR_PX = 14;
 const LABEL_PX = 46; // room for a vehicle's name beside its start
 const LINE_PX = 13; // and for the next one below it
