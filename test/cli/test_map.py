@@ -159,9 +159,12 @@ def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(
         ({}, ["--vehicles", "uav9"], "no flight of uav9"),
         ({"bags": []}, [], "names no recordings"),
         ({"bags": ["/nowhere"]}, [], "/nowhere"),
+        ({}, ["--set", "backend.sigma_px=2"], "a flight that has been run: --set has no effect"),
+        ({}, ["--no-smoothing"], "--no-smoothing has no effect"),
+        ({}, ["--results", "elsewhere"], "--results has no effect"),
     ],
 )
-def test_what_is_missing_is_named_in_one_line(
+def test_what_is_missing_or_comes_too_late_is_named_in_one_line(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict, words: list[str], message: str
 ) -> None:
     copy = flown_only(result, tmp_path)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from uav_vslam.evaluation.files.geodetic import Datum
 
 
+RESULTS = "results"  # the folder below the current one
 MODES = ("wideband", "narrowband", "none")  # the names in config.fusion.MODE_BUDGETS
 
 
@@ -23,9 +24,7 @@ def first_given(options: Mapping[str, object]) -> str:
 
 def add_results(parser: argparse.ArgumentParser) -> None:
     """Declare the folder of all results, which is created with the first of them."""
-    parser.add_argument(
-        "--results", type=_results_folder, default="results", help="where results go (default results/)"
-    )
+    parser.add_argument("--results", type=_results_folder, default=RESULTS, help="where results go (default results/)")
 
 
 def _results_folder(text: str) -> Path:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uav_vslam.argument_types import positive_number
-from uav_vslam.cli.arguments import add_datum, datum_of
+from uav_vslam.cli.arguments import RESULTS, add_datum, datum_of, first_given
 from uav_vslam.cli.messages import say, warn
 from uav_vslam.cli.progress import progress_bar
-from uav_vslam.cli.run import add_options, flown
+from uav_vslam.cli.run import SHEET, add_options, flown
 
 if TYPE_CHECKING:
     from uav_vslam.cli.map_inputs import MappedFlight
@@ -91,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
         folder, code = flown(args)
     elif len(args.inputs) > 1:
         raise UavVslamError(f"{folder} is a results folder, so no other input goes with it; map one at a time")
+    elif given := first_given(_of_runs(args)):
+        raise ConfigError(f"{folder} is a results folder, of a flight that has been run: {given} has no effect")
     else:
         folder = folder.resolve()  # results/latest may lead elsewhere before the map is done
     if (folder / FOLDER).exists():
@@ -107,6 +109,13 @@ def run(args: argparse.Namespace) -> int:
     if cells == 0:
         say("nothing was mapped: no pair of views gave a height; the figures above say why")
     return code if cells else max(code, 1)
+
+
+def _of_runs(args: argparse.Namespace) -> dict[str, object]:
+    """Return those options, by name, that only tell how to run a flight; false where they were not given."""
+    names = ("config", "set", "mode", "map", "link", "name", "no_smoothing", "no_maps", "video")
+    given = {f"--{name.replace('_', '-')}": getattr(args, name) for name in names}
+    return given | {"--results": args.results != Path(RESULTS), "--sheet": args.sheet != SHEET}
 
 
 def write_map(

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from uav_vslam.offline.source import FlightSource
     from uav_vslam.pipeline import VehicleTrack
 
+SHEET = 12  # images of the contact sheet
 FIRST_FRAMES = 20  # that show how far apart the stamps of a pair are
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
@@ -58,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures of the flight, write no page")
     parser.add_argument("--no-maps", action="store_true", help="write no <vehicle>_map.npz")
     parser.add_argument(
-        "--sheet", type=positive, default=12, metavar="N", help="images with tracks on the contact sheet (default 12)"
+        "--sheet", type=positive, default=SHEET, metavar="N", help=f"images with tracks on the sheet (default {SHEET})"
     )
     parser.add_argument("--video", action="store_true", help="write all images with tracks as a video, too")
 

@@ -49,6 +49,11 @@ def test_the_mosaic_is_the_ground_seen_from_straight_above(scene: Scene, m_per_p
     assert np.hypot(*shift) < 0.05  # pixels
 
 
+def test_pixels_too_small_to_draw_a_view_are_refused_with_a_size_that_suits() -> None:
+    with pytest.raises(UavVslamError, match=r"pixels of 0.0001 m .* use a --pixel of more than 0.00\d+ m"):
+        Orthomosaic(PLAIN, 1e-4).add(ALONG[0])
+
+
 def test_what_stands_does_not_colour_the_ground_behind_it() -> None:
     scene = Scene(box, roof_white)
     mosaic = Orthomosaic(scene, M_PER_PX)

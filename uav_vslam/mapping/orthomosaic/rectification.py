@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.mapping.orthomosaic.footprint import LARGEST_TANGENT, footprint
 from uav_vslam.mapping.orthomosaic.heights import Heights
@@ -21,6 +22,7 @@ BORDER_SHARE = 0.06  # of the image, in which the score rises from its edge
 LEAST_SCORE = 0.01  # of what is seen at all
 OVERSAMPLING = 1.25  # pixels of the image, made smaller first, to one of the mosaic
 BLACK, WHITE = 2.0, 250.0  # grey levels of the brightest channel beyond which an image is clipped
+MOST_PX = 32_766  # along a side of what OpenCV draws at once
 CLIPPED_PX = 33  # side of the surroundings whose clipped share counts, so that single pixels do not change the view
 
 
@@ -53,11 +55,19 @@ def rectify(
         sharpness: factor of the score.
         align: the window's edges are multiples of this many pixels.
         margin: pixels around the footprint.
+
+    Raises:
+        UavVslamError: the pixels are too small to draw the view at once.
     """
     raster = footprint(view.camera, view.T_map_cam, surface, m_per_px)
     if raster.columns == 0:
         return None
     raster = raster.grown(margin, align=align)
+    if (side := max(raster.shape)) > MOST_PX:
+        raise UavVslamError(
+            f"in pixels of {m_per_px:g} m a view of the orthomosaic is {side} pixels long, and {MOST_PX} can be drawn; "
+            f"use a --pixel of more than {m_per_px * side / MOST_PX:.2g} m"
+        )
     heights = surface.height(raster)
     u, v, depth, tangent2 = _seen_at(view, raster, heights)
     score = _score(view.camera, u, v, depth, tangent2) * np.float32(sharpness)
