@@ -353,12 +353,28 @@ def test_a_wrong_override_is_told(setting: str, said: str, good: Path, capsys: p
     assert said in refused(capsys, "run", good, "--set", setting)
 
 
-def test_the_check_that_is_advised_needs_the_settings_of_the_run(
-    good: Path, capsys: pytest.CaptureFixture[str]
+def test_the_check_that_is_advised_can_be_pasted_and_needs_the_settings_of_the_run(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Without them it would judge other topics."""
-    line = refused(capsys, "run", good, "--set", "input.topics.imu=nowhere")
-    assert line.rstrip().endswith(f"All faults: uav-vslam check {good}, with the same configuration")
+    spaced = tmp_path / "my flight"
+    spaced.symlink_to(good)
+    line = refused(capsys, "run", spaced, "--set", "input.topics.imu=nowhere")
+    assert line.rstrip().endswith(f"All faults: uav-vslam check '{spaced}', with the same configuration")
+    assert f"are given together: '{spaced}'" in refused(capsys, "run", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--set", "backend.sigma_px=0.5", "--set", "backend.sigma_px=0.8"], "sigma_px is given twice, 0.5 and 0.8"),
+        (["--set", "fusion.mode=none", "--mode", "wideband"], "fusion.mode is given twice, by --set and by an option"),
+    ],
+)
+def test_a_setting_that_is_given_twice_is_refused(
+    options: list[str], said: str, good: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert said in refused(capsys, "run", good, *options)
 
 
 def test_a_wrong_value_is_looked_for_where_it_stands(

@@ -8,9 +8,16 @@ def overrides(items: Iterable[str]) -> dict[str, object]:
     """Return values by dotted name.
 
     Raises:
-        ConfigError: one is not of that form, or its value is not YAML.
+        ConfigError: one is not of that form, its value is not YAML, or two give values to one setting.
     """
-    return dict(map(_override, items))
+    from uav_vslam.errors import ConfigError
+
+    found: dict[str, object] = {}
+    for key, value in map(_override, items):
+        if key in found:
+            raise ConfigError(f"setting {key} is given twice, {found[key]} and {value}, and only one can count")
+        found[key] = value
+    return found
 
 
 def _override(item: str) -> tuple[str, object]:

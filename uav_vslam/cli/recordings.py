@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -40,13 +41,16 @@ def bags_and_configs(
         more: settings that the verb's other options stand for, by dotted name.
 
     Raises:
-        ConfigError: a fleet file comes with other inputs, or a file, key or value is wrong.
+        ConfigError: a fleet file comes with other inputs, a file, key or value is wrong, or a setting is given twice.
     """
     from uav_vslam.cli.overrides import overrides
     from uav_vslam.config import find_config, load_fleet, load_vehicle
     from uav_vslam.errors import ConfigError
 
-    changed = overrides(args.set) | dict(more)
+    changed = overrides(args.set)
+    if twice := sorted(changed.keys() & more.keys()):
+        raise ConfigError(f"setting {twice[0]} is given twice, by --set and by an option of its own; leave one out")
+    changed |= more
     file = next((path for path in args.inputs if path.suffix in {".yaml", ".yml"}), None)
     if file is not None:
         if len(args.inputs) > 1 or args.vehicles or args.config:
@@ -83,5 +87,5 @@ def open_flights(bags: Sequence[Path], configs: Mapping[str, VehicleConfig]) -> 
     except (BagError, CalibrationError) as error:
         text = f"{error}" if f"{error}".endswith("?") else f"{error}."
         same = ", with the same configuration" if any(map(differences, configs.values())) else ""
-        raise type(error)(f"{text} All faults: uav-vslam check {' '.join(map(str, bags))}{same}") from None
+        raise type(error)(f"{text} All faults: uav-vslam check {shlex.join(map(str, bags))}{same}") from None
     return flights

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -206,7 +207,7 @@ def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: I
     if not names:
         raise BagError(
             f"bag {names_of(bags)} holds no <vehicle>/{config.topics.left}; record or remap the images, or "
-            f"name its topics by input.topics, which this proposes: uav-vslam check {' '.join(map(str, bags))}"
+            f"name its topics by input.topics, which this proposes: uav-vslam check {shlex.join(map(str, bags))}"
         )
     if nested := next((name for name in names if "/" in name), ""):
         raise ConfigError(

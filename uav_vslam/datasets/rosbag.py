@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import join, quote
 from typing import Generic, TypeVar
 
 from rosbags.interfaces import Connection, QosDurability
@@ -148,9 +149,9 @@ def _hint(path: Path) -> str:
     if any((path / name).is_dir() for name in DATA_SETS):
         return "; import it: uav-vslam import --help"
     if path.is_dir() and any(file.suffix.lower() in PICTURES for file in path.iterdir()):
-        return f"; it holds pictures, which are joined by: uav-vslam mosaic {path}"
+        return f"; it holds pictures, which are joined by: uav-vslam mosaic {quote(str(path))}"
     if path.is_dir() and (bags := sorted(file.parent for end in STORAGE_FILES for file in path.glob(f"*/*{end}"))):
-        return f"; those of one flight are given together: {' '.join(map(str, dict.fromkeys(bags)))}"
+        return f"; those of one flight are given together: {join(map(str, dict.fromkeys(bags)))}"
     return ""
 
 
@@ -216,7 +217,7 @@ def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
     if last_ns is None and file.suffix == ros1_bag.SUFFIX:  # the index is at the end of such a file
         remedy = "restore its index by `rosbag reindex` of ROS 1, or record it again"
     if log := _write_ahead_log(file):
-        remedy = f"its messages are in {log.name}: {MERGE % file}"
+        remedy = f"its messages are in {log.name}: {MERGE % quote(str(file))}"
     if last_ns is None and file.is_dir():
         remedy = "record it again, or correct its metadata.yaml or remove it: the files that are there are then read"
     return BagError(f"bag {given_as(file)} is damaged: {reached} ({one_line(error)}); {remedy}")
@@ -238,7 +239,8 @@ def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterat
         for storage in reader.storages:
             if log := _write_ahead_log(storage.path):
                 raise BagError(
-                    f"bag {given_as(file)} is not whole: its last messages are in {log}; {MERGE % storage.path}"
+                    f"bag {given_as(file)} is not whole: its last messages are in {log}; "
+                    f"{MERGE % quote(str(storage.path))}"
                 )
 
 
