@@ -396,6 +396,7 @@ def test_a_wrong_value_is_looked_for_where_it_stands(
         (["simulate", "NEW", "--frames", "0"], "use 2 or more frames"),
         (["simulate", "NEW", "--texture", "nothing.jpg"], "'nothing.jpg' is neither 'grass' nor an image"),
         (["simulate", "FOLDER"], "choose a folder that does not exist yet"),
+        (["simulate", "/proc/flight"], "can't record to /proc/flight: No such file or directory; choose another place"),
         (["evaluate", "NEW"], "does not exist"),
         (["evaluate", "BAG", "NEW"], "/new does not exist"),
         (["launch", "FOLDER"], "Is a directory"),

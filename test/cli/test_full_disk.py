@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from made_up_results import write_full
 
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
@@ -58,6 +59,14 @@ def test_export_leaves_no_half_file(options: list[str], tmp_path: Path) -> None:
     assert "make room" in line
     assert [path.name for path in (tmp_path / "out").iterdir() if path.stat().st_size >= ROOM_BYTES] == []
     assert not list((tmp_path / "out").glob("*.partial"))
+
+
+def test_report_leaves_the_page_that_was_there(tmp_path: Path) -> None:
+    folder, page = write_full(tmp_path / "results"), tmp_path / "page.html"
+    page.write_text("before")
+    assert f"{page}: " in only_line(limited("report", folder, "--output", page))
+    assert page.read_text() == "before"
+    assert not list(tmp_path.glob("*.partial"))
 
 
 @pytest.mark.slow

@@ -70,7 +70,9 @@ class RawRecorder:
                 self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
             self._file = _made_retrying(self._writer) if retrying else None
-        except (WriterError, OSError, sqlite3.OperationalError) as error:
+        except OSError as error:
+            raise BagError(f"can't record to {path}: {error.strerror}; choose another place") from None
+        except (WriterError, sqlite3.OperationalError) as error:
             raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None
 
     def write(

@@ -12,6 +12,7 @@ from typing import Any
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import distinct_names, short_name
+from uav_vslam.evaluation.files.whole import whole
 from uav_vslam.evaluation.study import seeds_text
 from uav_vslam.report.page.configuration import configuration_section
 from uav_vslam.report.page.figures import figure_sections
@@ -66,11 +67,9 @@ def write_page(folders: Sequence[Path], output: Path | None = None) -> Path:
         raise UavVslamError(f"{folder} is a {name}, which has a page of its own; give flights only, or it alone")
     content = alone[0][2](folders[0]) if alone else _flight_page(folders)
     path = output or folders[0] / NAME
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise UavVslamError(f"{path} can't be written: {error.strerror}; choose another --output") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole(path) as partial:
+        partial.write_text(content, encoding="utf-8")
     return path
 
 
