@@ -107,7 +107,9 @@ def test_another_clock_of_the_truth_is_named_and_its_offset_taken(tmp_path: Path
     evaluate(tmp_path / "wrong", estimate, "--truth", truth, "--truth-offset", "1")
     assert "-0.600 s more added to its stamps" in (said := capsys.readouterr().err)
     assert "--truth-offset 0.400" in said  # in place of the 1 s, not beside it
-    (aware,) = evaluate(tmp_path / "aware", estimate, "--truth", truth, "--truth-offset", "0.4")["runs"]
+    tree = evaluate(tmp_path / "aware", estimate, "--truth", truth, "--truth-offset", "0.4")
+    (aware,) = tree["runs"]
+    assert (tree["inputs"], tree["truth"], tree["truth_offset_s"]) == ([str(estimate)], str(truth), 0.4)
     assert aware["ate_m"]["none"] < 1e-6
     assert aware["clock_offset"] is None
     assert "clock" not in capsys.readouterr().err
@@ -123,6 +125,8 @@ def test_what_can_not_be_evaluated_is_refused_in_one_line(files, results: Path, 
     for path in results.glob("*_truth.tum"):
         path.unlink()
     assert "holds no ground truth of uav1; give --truth" in refused(capsys, "evaluate", results)
+    times = ["--times", files["times"]]
+    assert "--times belongs to KITTI" in refused(capsys, "evaluate", files["tum"], "--truth", files["truth"], *times)
     (tmp_path / "flight.mcap").touch()
     error = refused(capsys, "evaluate", files["tum"], tmp_path / "flight.mcap", "--truth", files["truth"])
     assert "flight.mcap is a bag" in error

@@ -25,11 +25,18 @@ def compare_files(args: argparse.Namespace) -> int:
     from uav_vslam.report.comparison_plot import write_comparison_plot
     from uav_vslam.report.comparison_table import print_comparison
 
-    runs = [pair_run(run, max_gap_s=args.max_gap or MAX_GAP_S) for run in _runs(args)]
+    _refuse_times_without_kitti(args)
+    max_gap_s = args.max_gap or MAX_GAP_S
+    runs = [pair_run(run, max_gap_s=max_gap_s) for run in _runs(args)]
     for run in runs:
         _report_partial(run)
     name = args.name or "comparison"
-    tree = compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
+    tree = {
+        "inputs": [str(path.resolve()) for path in args.inputs],
+        "truth": str(args.truth.resolve()) if args.truth else None,  # of the results folders themselves
+        "truth_offset_s": args.truth_offset,
+        "max_gap_s": max_gap_s,
+    } | compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
     plot = partial(write_comparison_plot, runs, alignment=args.alignment, title=name)
     try:
         print_comparison(tree)  # first: a full disk must not cost it
@@ -38,6 +45,15 @@ def compare_files(args: argparse.Namespace) -> int:
     _report_offsets(runs, tree, args.truth_offset)
     print(f"written to {folder}")
     return 0
+
+
+def _refuse_times_without_kitti(args: argparse.Namespace) -> None:
+    from uav_vslam.errors import ConfigError
+    from uav_vslam.evaluation.files.reading import is_kitti
+
+    files = [path for path in (*args.inputs, args.truth) if path is not None and not path.is_dir()]
+    if args.times is not None and not any(map(is_kitti, files)):
+        raise ConfigError("--times belongs to KITTI files, and none is given; all others have stamps of their own")
 
 
 def _runs(args: argparse.Namespace) -> list[Run]:
