@@ -320,6 +320,16 @@ def test_transforms_that_change_are_all_read_and_told(tiny_bag: Path, tmp_path: 
     assert right.warnings == ()
 
 
+def test_bags_of_two_flights_are_told_and_parts_of_one_are_not(tiny_bag: Path, tmp_path: Path) -> None:
+    middle_ns = sorted(raw.stamp_ns for raw in iter_raw([tiny_bag]))[100]
+    again = rewrite(tiny_bag, tmp_path / "again", lambda raw: raw)
+    early = rewrite(tiny_bag, tmp_path / "early", lambda raw: raw if raw.stamp_ns < middle_ns else None)
+    late = rewrite(tiny_bag, tmp_path / "late", lambda raw: raw if raw.stamp_ns >= middle_ns else None)
+    (warning,) = open_flight([tiny_bag, again], "uav1").warnings
+    assert warning.startswith(f"{tiny_bag} and {again} both hold /uav1/imu/data_raw during the same ")
+    assert open_flight([early, late], "uav1").warnings == ()
+
+
 @pytest.mark.parametrize(("topic", "refused"), [("/uav1/initial_state", True), (TRUTH, False)])
 def test_a_state_of_a_frame_that_is_not_the_body_is_told(
     tiny_bag: Path, tmp_path: Path, topic: str, refused: bool

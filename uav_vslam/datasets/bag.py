@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.truth import unread_text
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage, UavVslamError
 from uav_vslam.geometry.stereo import SIDES
-from uav_vslam.types import NavEstimate
+from uav_vslam.types import NS_PER_S, NavEstimate
 
 DEFAULT_VEHICLE = "uav1"  # where topics do not begin with its name
+PARTS_OVERLAP = 0.1  # at most, share of the shorter of two parts of one recording
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
@@ -100,6 +102,7 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
         yield setup.files.unequal_clocks
     if setup.rectified_twice:
         yield setup.rectified_twice
+    yield from _recorded_together(bags, setup.config.topic(setup.vehicle, "imu"))
     yield from setup.frames.faults
     if setup.frames.moved:
         frames = ", ".join(sorted(setup.frames.moved))
@@ -114,6 +117,21 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
         yield unread_text(topic, truth.__msgtype__)
     if conflict := setup.conflict(getattr(truth, "child_frame_id", "")):
         yield f"{topic} {conflict}"
+
+
+def _recorded_together(bags: Sequence[Path], topic: str) -> Iterator[str]:
+    """Yield which bags hold a topic at the same time: its messages would be those of two sensors, or of two flights."""
+    spans = []
+    for bag in bags if len(bags) > 1 else ():
+        if stamps_ns := [raw.stamp_ns for raw in iter_readable([bag], [topic])]:
+            spans.append((bag, min(stamps_ns), max(stamps_ns)))
+    for (a, begin_a, end_a), (b, begin_b, end_b) in combinations(spans, 2):
+        common_ns = min(end_a, end_b) - max(begin_a, begin_b)
+        if common_ns > PARTS_OVERLAP * min(end_a - begin_a, end_b - begin_b):
+            yield (
+                f"{a} and {b} both hold {topic} during the same {common_ns / NS_PER_S:.1f} s, and are mixed: give one "
+                "flight at a time; different vehicles need topics of different names"
+            )
 
 
 def _image_topic(bags: Sequence[Path], topics: Topics, name: str) -> str:
