@@ -132,6 +132,17 @@ def test_what_can_not_be_evaluated_is_refused_in_one_line(files, results: Path, 
     assert "flight.mcap is a bag" in error
 
 
+def test_one_truth_is_not_that_of_two_vehicles(files: dict[str, Path], results: Path, tmp_path: Path, capsys) -> None:
+    """Against another vehicle's truth a good estimate is metres off, as if the clocks differed."""
+    evaluate(tmp_path / "one", results, "--truth", files["truth"])
+    capsys.readouterr()
+    for path in results.glob("uav1_*.tum"):
+        (results / path.name.replace("uav1", "uav2")).write_bytes(path.read_bytes())
+    said = refused(capsys, "evaluate", results, "--truth", files["truth"])
+    assert "holds uav1 and uav2, and --truth is of one vehicle" in said
+    evaluate(tmp_path / "two", results / "uav2_s_slam.tum", "--truth", files["truth"])
+
+
 @pytest.mark.parametrize("offset", ["nan", "1e300", "soon"])
 def test_an_offset_that_no_clock_has_is_refused(offset: str, capsys) -> None:
     with pytest.raises(SystemExit) as leaving:

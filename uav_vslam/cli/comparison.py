@@ -84,13 +84,19 @@ def _of_file(path: Path, name: str, truth: Trajectory | None, times: Path | None
 
 def _of_folder(folder: Path, name: str, truth: Trajectory | None) -> list[Run]:
     """Return the estimates of each vehicle of a results folder; their own truth counts unless another is given."""
-    from uav_vslam.errors import TrajectoryFileError
+    from uav_vslam.errors import ConfigError, TrajectoryFileError
     from uav_vslam.evaluation.comparison import Run
     from uav_vslam.evaluation.files.results_folder import at_equal_stamps, read_results
     from uav_vslam.evaluation.summary import TRACK_NAMES
 
-    runs = []
-    for vehicle, tracks in read_results(folder).items():
+    runs, vehicles = [], read_results(folder)
+    if truth is not None and len(vehicles) > 1:
+        names = " and ".join(vehicles)
+        raise ConfigError(
+            f"{folder} holds {names}, and --truth is of one vehicle: name its files, such as "
+            f"{folder / next(iter(vehicles))}_s_slam.tum"
+        )
+    for vehicle, tracks in vehicles.items():
         reference = truth or tracks.get("truth")
         if reference is None:
             raise TrajectoryFileError(f"{folder} holds no ground truth of {vehicle}; give --truth FILE")
