@@ -136,8 +136,8 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
     elif not placement.believed:
         low, middle, high = np.nanpercentile(placement.gps_m, [10, 50, 90])
         yield (
-            f"GPS contradicts the pictures: it is {low:.0f}–{high:.0f} m (median {middle:.0f} m) off after the best "
-            f"fit; {told} come from that fit alone, and are as uncertain"
+            f"GPS contradicts the pictures: after the best fit it is {middle:.0f} m off (median; {low:.0f}–{high:.0f} "
+            f"m from 10 to 90 %); {told} come from that fit alone, and are as uncertain"
         )
     if placement.altitudes_off_m is not None:
         yield (
