@@ -403,16 +403,19 @@ def test_a_wrong_value_is_looked_for_where_it_stands(
         (["launch", "NEW"], "No such file"),
         (["check", "FOLDER"], "is not a bag"),
         (["map", "PICTURES"], "it holds pictures, which are joined by: uav-vslam mosaic"),
+        (["run", "RESULTS"], "it holds results: name the recording, or see uav-vslam map"),
         (["run", "FOLDER", "--config", "NEW"], "neither a file nor one of ours"),
     ],
 )
 def test_wrong_paths_and_numbers_are_told(
     arguments: list[str], said: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("folder", "pictures"):
+    for name, files in {"folder": [], "pictures": ["DJI_0001.JPG"], "results": ["summary.json", "errors.png"]}.items():
         (tmp_path / name).mkdir()
-    (tmp_path / "pictures" / "DJI_0001.JPG").touch()
-    paths = {name.upper(): str(tmp_path / name) for name in ("folder", "pictures", "new")} | {"BAG": str(good)}
+        for file in files:
+            (tmp_path / name / file).touch()
+    places = ("folder", "pictures", "results", "new")
+    paths = {name.upper(): str(tmp_path / name) for name in places} | {"BAG": str(good)}
     assert said in refused(capsys, *(paths.get(argument, argument) for argument in arguments))
 
 

@@ -27,6 +27,7 @@ Item = TypeVar("Item")
 
 STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
 UNFINISHED = f"{ros1_bag.SUFFIX}.active"  # how a recorder of ROS 1 calls a bag before its end
+RESULTS = ("summary.json", "study.json", "mosaic.json", "comparison.json")
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 URI = re.compile(r"[#?]|%[0-9a-fA-F]{2}")  # what SQLite, which rosbags gives a URI, takes for more than a name
 FOREIGN_REMEDY = "give one with the profile ros2 and all messages in CDR, as `ros2 bag record -s mcap` writes it"
@@ -148,6 +149,8 @@ def _hint(path: Path) -> str:
         )
     if any((path / name).is_dir() for name in DATA_SETS):
         return "; import it: uav-vslam import --help"
+    if any((path / name).is_file() for name in RESULTS):
+        return "; it holds results: name the recording, or see uav-vslam map, evaluate, export and report"
     if path.is_dir() and any(file.suffix.lower() in PICTURES for file in path.iterdir()):
         return f"; it holds pictures, which are joined by: uav-vslam mosaic {quote(str(path))}"
     if path.is_dir() and (bags := sorted(file.parent for end in STORAGE_FILES for file in path.glob(f"*/*{end}"))):
