@@ -15,19 +15,21 @@ COVARIANCE = ("cov_x_x", "cov_x_y", "cov_x_z", "cov_y_y", "cov_y_z", "cov_z_z")
 UPPER = np.triu_indices(3)
 
 
-def write_link(epochs: Sequence[LinkEpoch], path: Path) -> Path:
-    """Write the traffic of a vehicle up to each fusion epoch, one row an epoch."""
-    first_ns = epochs[0].stamp_ns if epochs else 0
-    rows = ((*_time(epoch.stamp_ns, first_ns), *(getattr(epoch, name) for name in TRAFFIC)) for epoch in epochs)
+def write_link(epochs: Sequence[LinkEpoch], path: Path, *, start_ns: int) -> Path:
+    """Write the traffic of a vehicle up to each fusion epoch, one row an epoch; its time counts from `start_ns`."""
+    rows = ((*_time(epoch.stamp_ns, start_ns), *(getattr(epoch, name) for name in TRAFFIC)) for epoch in epochs)
     return _write(path, ("stamp_ns", "time_s", *TRAFFIC), rows)
 
 
-def write_timing(stage_s: Mapping[str, Mapping[int, float]], path: Path) -> Path:
-    """Write each stage's processor time on each frame [ms], empty for a stage that did not run."""
+def write_timing(stage_s: Mapping[str, Mapping[int, float]], path: Path, *, start_ns: int) -> Path:
+    """Write each stage's processor time on each frame [ms], empty for a stage that did not run.
+
+    The time of a frame counts from `start_ns`, and is negative before.
+    """
     stamps_ns = sorted({stamp_ns for seconds in stage_s.values() for stamp_ns in seconds})
     rows = (
         (
-            *_time(stamp_ns, stamps_ns[0]),
+            *_time(stamp_ns, start_ns),
             *(f"{1000.0 * seconds[stamp_ns]:.3f}" if stamp_ns in seconds else "" for seconds in stage_s.values()),
         )
         for stamp_ns in stamps_ns
@@ -42,8 +44,8 @@ def write_landmarks(landmarks: MappedLandmarks, path: Path) -> Path:
     return _write(path, ("id", "x_m", "y_m", "z_m", *COVARIANCE), cells)
 
 
-def _time(stamp_ns: int, first_ns: int) -> tuple[int, str]:
-    return stamp_ns, f"{(stamp_ns - first_ns) / NS_PER_S:.6f}"
+def _time(stamp_ns: int, start_ns: int) -> tuple[int, str]:
+    return stamp_ns, f"{(stamp_ns - start_ns) / NS_PER_S:.6f}"
 
 
 def _write(path: Path, titles: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
