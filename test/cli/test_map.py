@@ -153,6 +153,20 @@ def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(
     assert "nothing was mapped: no pair of views gave a height" in said  # though they show the ground
 
 
+def test_another_recording_than_that_of_the_poses_is_told(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Simulated ones all begin at the same stamp."""
+    said = []
+    for seed in (SCENARIO.seed, SCENARIO.seed + 90):
+        other = tmp_path / f"{seed}"
+        record(dataclasses.replace(SCENARIO, seed=seed), other, coding=ImageCoding("png"))
+        poses = flown_only(result, tmp_path / f"of_{seed}")
+        main(["map", str(poses), "--bags", str(other), "--cell", "1", "--no-plots"])
+        said.append("most pairs of views have few matches" in capsys.readouterr().err)
+    assert said == [False, True]
+
+
 @pytest.mark.parametrize(
     ("change", "words", "message"),
     [

@@ -135,7 +135,7 @@ def write_map(
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.progress import counted
     from uav_vslam.mapping.surface.grid import HeightGrid
-    from uav_vslam.mapping.surface.mapper import SMALL_CELLS, SurfaceMapper
+    from uav_vslam.mapping.surface.mapper import FEW_MATCHES, SMALL_CELLS, SurfaceMapper
     from uav_vslam.mapping.surface.tiles import TILES
     from uav_vslam.mapping.surface_files import FIGURES, write_surface
     from uav_vslam.report.map_table import print_map
@@ -158,6 +158,8 @@ def write_map(
     if mapper.least_cell_m:
         count, least_m = mapper.refused[SMALL_CELLS], mapper.least_cell_m
         warn(f"{count} pairs have pixels too large for cells of {cell_m:g} m; use --cell {least_m:.2g}")
+    if mapper.refused[FEW_MATCHES] > mapper.pairs:
+        warn("most pairs of views have few matches: is this the recording of these poses, and has the ground texture?")
     return int(tree["surface"]["cells"])
 
 

@@ -30,6 +30,7 @@ MOST_VIEWS = 64  # kept as partners of later ones
 CELL_PIXELS = 2.0  # side of a cell in pixels on the ground that gives `samples.LEAST_POINTS`
 FEWEST_PIXELS = 1.5  # below it hardly a cell has so many
 SMALL_CELLS = "cells smaller than pixels"  # reason for a refusal
+FEW_MATCHES = "few matches"  # another one
 LEAST_SHARE = 0.25  # of the common ground that a good pair matches
 RANGE_PERCENTILES = (1.0, 50.0, 99.0)
 SEARCHED_VIEWS = 8  # kept while the ground is not found
@@ -183,7 +184,7 @@ class SurfaceMapper:
         points = match(pair, settings).above(searched.low_m)  # whole steps of disparities reach further
         started = self._count("match", started)
         if points.share < LEAST_SHARE:
-            self.refused["few matches"] += 1
+            self.refused[FEW_MATCHES] += 1
             return
         samples = sample(points, self.grid.cell_m)
         if samples is not None:
