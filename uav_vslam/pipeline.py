@@ -2,6 +2,7 @@
 """One vehicle without ROS: the nodes' stages, chained in one process."""
 
 import dataclasses
+import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -21,6 +22,8 @@ from uav_vslam.slam.stage import SlamStage
 from uav_vslam.stamps import Admitted
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
+
+STAMP = re.compile(r"\d+ ns")  # in the text of a fault
 
 
 @dataclass(slots=True)
@@ -96,6 +99,7 @@ class VehiclePipeline:
         if initial is not None:
             self._slam.start(initial)
         self._refused: Counter[str] = Counter()
+        self._told: set[str] = set()
         self._is_imu_fault_reported = False
         self.track = VehicleTrack(vehicle)
 
@@ -130,6 +134,12 @@ class VehiclePipeline:
         for reading in judged.readings:
             self._preintegrator.add_imu(reading)
 
+    def _warn_of_stamps(self) -> None:
+        """Warn of each fault of the stamps once while it lasts: its text names a stamp of its own for each message."""
+        faults = {STAMP.sub("", text): text for text in self._stamps.faults.values()}
+        self.track.warnings += [text for kind, text in faults.items() if kind not in self._told]
+        self._told = self._told | faults.keys() if faults else set()
+
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
         """Add a frame, or its simulated features; frames before the start state are dropped."""
         self.track.frames_in += 1
@@ -145,7 +155,7 @@ class VehiclePipeline:
                     "recording there, or replay it to the nodes"
                 )
             self.track.warnings.append(f"{admitted.jump}: the motion in between is unknown")
-        self.track.warnings += [text for text in self._stamps.faults.values() if text not in self.track.warnings]
+        self._warn_of_stamps()
         for _, item in admitted.items:
             try:
                 if isinstance(item, ImuSample):
