@@ -2,7 +2,6 @@
 """One vehicle without ROS: the nodes' stages, chained in one process."""
 
 import dataclasses
-import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -22,8 +21,6 @@ from uav_vslam.slam.stage import SlamStage
 from uav_vslam.stamps import Admitted
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
-
-STAMP = re.compile(r"\d+ ns")  # in the text of a fault
 
 
 @dataclass(slots=True)
@@ -135,9 +132,9 @@ class VehiclePipeline:
             self._preintegrator.add_imu(reading)
 
     def _warn_of_stamps(self) -> None:
-        """Warn of each fault of the stamps once while it lasts: its text names a stamp of its own for each message."""
-        faults = {STAMP.sub("", text): text for text in self._stamps.faults.values()}
-        self.track.warnings += [text for kind, text in faults.items() if kind not in self._told]
+        """Warn of each stream's stamps once while faults last: their texts name the latest stamp."""
+        faults = self._stamps.faults
+        self.track.warnings += [text for name, text in faults.items() if name not in self._told]
         self._told = self._told | faults.keys() if faults else set()
 
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
