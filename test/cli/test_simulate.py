@@ -43,6 +43,13 @@ def test_a_quality_without_jpeg_is_refused(coding: list[str], tmp_path: Path) ->
     assert simulate.coding_from(parse("x", "--compressed", "jpeg")).quality == 90
 
 
+def test_the_pixel_of_an_image_without_an_image_is_refused() -> None:
+    for texture in [], ["--texture", "grass"]:
+        with pytest.raises(ConfigError, match="give --texture IMAGE"):
+            simulate.scenario_from(parse("x", "--texture-pixel", "0.1", *texture))
+    assert simulate.scenario_from(parse("x", "--texture-pixel", "0.1", "--texture", "a.jpg")).texture_m_per_px == 0.1
+
+
 @pytest.mark.slow
 def test_a_recording_of_objects_in_colour_reads_back_in_colour(tmp_path: Path) -> None:
     out = tmp_path / "flight"
@@ -56,9 +63,9 @@ def test_a_recording_of_objects_in_colour_reads_back_in_colour(tmp_path: Path) -
 
 
 def test_what_is_not_given_keeps_the_scenarios_value() -> None:
-    scenario = simulate.scenario_from(parse("out", "--scenario", "long", "--imu", "consumer", "--texture-pixel", "0.1"))
+    scenario = simulate.scenario_from(parse("out", "--scenario", "long", "--imu", "consumer", "--noise", "3"))
     assert (scenario.pattern, scenario.frames, scenario.imu) == ("lawnmower", 1000, "consumer")
-    assert scenario.texture_m_per_px == 0.1
+    assert scenario.noise_sigma == 3.0
     assert (scenario.objects, scenario.colour) == (False, False)
 
 

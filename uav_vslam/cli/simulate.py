@@ -104,7 +104,7 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
     """Return the named scenario with what the arguments change.
 
     Raises:
-        ConfigError: the scenario's name or a value is not known.
+        ConfigError: the scenario's name or a value is not known, or the pixel of an image is given without an image.
     """
     import dataclasses
 
@@ -113,6 +113,8 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
 
     if args.scenario not in SCENARIOS:
         raise ConfigError(f"scenario {args.scenario!r} is not known; use one of {', '.join(SCENARIOS)}")
+    if args.texture_pixel is not None and args.texture in {None, "grass"}:
+        raise ConfigError("--texture-pixel is that of an image: give --texture IMAGE with it")
     given = {
         "seed": args.seed,
         "vehicles": args.vehicles,
