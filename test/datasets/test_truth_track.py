@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of true motion become a track, whatever their order."""
 
+import dataclasses
+
 import numpy as np
 
 from uav_vslam.datasets.messages import TruthSample
+from uav_vslam.datasets.truth import truth_warnings
 from uav_vslam.datasets.truth_track import TruthSeries
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
@@ -27,6 +30,22 @@ def test_samples_are_sorted_and_the_last_of_one_stamp_counts() -> None:
     np.testing.assert_array_equal(track.positions_world, np.arange(4)[:, None] * SPEED)
     np.testing.assert_array_equal(track.R_world_body[3], sample(3).T_world_body.R)
     np.testing.assert_array_equal(track.velocities_world, np.tile(SPEED, (4, 1)))
+
+
+def test_what_follows_a_step_back_of_the_clock_is_left_out_and_told() -> None:
+    """It would be mixed with the poses of the same stamps, metres away; a single wrong stamp changes nothing."""
+    series = TruthSeries()
+    for second in range(20):
+        step = -10 if second >= 12 else 0
+        series.add(dataclasses.replace(sample(second), stamp_ns=(second + step) * NS_PER_S))
+    track = series.track()
+    np.testing.assert_array_equal(track.positions_world, np.arange(12)[:, None] * SPEED)
+    assert "the 8 poses that follow are left out" in " ".join(truth_warnings(track))
+    for wrong in (-10, 10):
+        series = TruthSeries()
+        for second in range(20):
+            series.add(dataclasses.replace(sample(second), stamp_ns=(second + wrong * (second == 12)) * NS_PER_S))
+        assert series.track().set_back == 0
 
 
 def test_velocities_that_were_not_recorded_are_differences() -> None:

@@ -42,6 +42,8 @@ def truth_warnings(truth: TruthTrack) -> Iterator[str]:
     """Yield why ground truth serves less than it seems to."""
     if truth.left_out:
         yield left_out_text(truth.left_out, len(truth))
+    if truth.set_back:
+        yield f"the clock of the ground truth was set back: the {truth.set_back} poses that follow are left out"
     if (apart_s := spacing_s(truth)) > MAX_SPACING_S:
         yield (
             f"the poses of the ground truth are {apart_s:.2g} s apart; estimates in gaps of more than "

@@ -13,6 +13,7 @@ from uav_vslam.types import NS_PER_S
 Array = NDArray[np.float64]
 
 NUMBERS = 15  # of a sample: position, velocity, rotation
+SET_BACK_S, RUN = 0.5, 4  # least step back of a clock, and the steps before and after it that are forward and shorter
 LEAST_DISPLACEMENT_M = 0.5  # within a second, with which velocities are compared: more than positions scatter by
 
 
@@ -26,6 +27,7 @@ class TruthTrack:
         R_world_body: (N, 3, 3).
         velocities_world: (N, 3) [m/s].
         left_out: messages without a usable pose.
+        set_back: samples after the clock was set back: their stamps are those of earlier ones, so they are left out.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -33,6 +35,7 @@ class TruthTrack:
     R_world_body: Array
     velocities_world: Array
     left_out: int = 0
+    set_back: int = 0
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -70,15 +73,30 @@ class TruthSeries:
         Velocities are differences where only poses were recorded, or a twist that contradicts them, such as one that
         was never filled in.
         """
-        stamps = np.array(self._stamps, np.int64)
+        recorded = np.array(self._stamps, np.int64)
+        stamps = recorded[: _until_set_back(recorded)]
         order = np.argsort(stamps, kind="stable")
         last = np.diff(stamps[order], append=np.iinfo(np.int64).max) != 0  # of those with the same stamp
         rows = np.array(self._numbers, float).reshape(-1, NUMBERS)[order[last]]
+        set_back = len(recorded) - len(stamps)
         stamps, positions, velocities = stamps[order[last]], rows[:, 0:3], rows[:, 3:6]
         times_s = (stamps - stamps[:1]) / NS_PER_S
         if len(stamps) > 1 and (np.isnan(velocities).any() or _contradict(times_s, positions, velocities)):
             velocities = np.gradient(positions, times_s, axis=0)
-        return TruthTrack(stamps, positions, rows[:, 6:].reshape(-1, 3, 3), velocities)
+        return TruthTrack(stamps, positions, rows[:, 6:].reshape(-1, 3, 3), velocities, set_back=set_back)
+
+
+def _until_set_back(stamps_ns: NDArray[np.int64]) -> int:
+    """Return how many of (N,) stamps, as recorded, come before the clock was set back; all if it was not.
+
+    A single stamp that is wrong, or a few messages out of order, are no step of the clock.
+    """
+    steps = np.diff(stamps_ns)
+    for k in np.flatnonzero(steps < -SET_BACK_S * NS_PER_S):
+        around = np.concatenate([steps[max(0, k - RUN) : k], steps[k + 1 : k + 1 + RUN]])
+        if len(around) == 2 * RUN and ((around > 0) & (around < -steps[k])).all():
+            return int(k) + 1
+    return len(stamps_ns)
 
 
 def _contradict(times_s: Array, positions: Array, velocities: Array) -> bool:
