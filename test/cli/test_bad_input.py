@@ -163,6 +163,14 @@ def test_a_start_state_that_nobody_gave_is_told_with_both_remedies(
     assert "start.method: static" in line
 
 
+def test_a_start_in_a_map_without_a_map_is_told_before_the_flight(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "run", good, "--set", "start.method=map", "--results", tmp_path / "out")
+    assert "start.method: map needs a map of an earlier flight; set start.map (--map)" in line
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [("nowhere", None, "does not exist"), ("text.mcap", "hello", "is damaged"), ("notes.txt", "hello", "is not a bag")],

@@ -30,6 +30,7 @@ def test_an_offset_of_the_clock_is_found(survey, perturbed, offset_s):
     right = absolute_error(estimate, survey, alignment="se3")
     assert found.moved_ate_m == pytest.approx(right.ate_m, rel=0.02)
     assert f"--truth-offset {found.offset_s:.3f}" in str(found)
+    assert "--truth-offset 0.000" in found.text(-found.offset_s - 1e-4)
 
 
 def test_an_estimate_that_drifts_is_not_excused(survey, perturbed):

@@ -40,7 +40,7 @@ class ClockOffset:
         return (
             f"the clock of the ground truth seems to be off: with {self.offset_s:+.3f} s {'more ' if given_s else ''}"
             f"added to its stamps, ATE SE3 is {self.moved_ate_m:.3g} m instead of {self.ate_m:.3g} m; "
-            f"score so by `uav-vslam evaluate ... --truth-offset {given_s + self.offset_s:.3f}`"
+            f"score so by `uav-vslam evaluate ... --truth-offset {given_s + self.offset_s:z.3f}`"
         )
 
 

@@ -42,8 +42,13 @@ def start_state(source: FlightSource, config: VehicleConfig) -> NavEstimate | No
     """Return the start state, None if it is to be estimated in flight.
 
     Raises:
-        UavVslamError: there is none, or the vehicle does not rest where it is to be found at rest.
+        UavVslamError: there is none, the vehicle does not rest where it is to be found at rest, or there is no map to
+            find it in.
     """
+    if config.start.method == "map" and not config.start.map:
+        raise UavVslamError(
+            f"{source.vehicle}: start.method: map needs a map of an earlier flight; set start.map (--map)"
+        )
     if config.start.searches:
         return None
     if config.start.method == "static":

@@ -68,7 +68,9 @@ def write_model(
     heights = np.where(_shown(picture, raster), surface.height(raster), np.float32(np.nan))
     mesh = mesh_of(heights, raster)
     if len(mesh.faces) == 0:
-        raise UavVslamError("the model has no triangle: no height is known under the mosaic")
+        raise UavVslamError(
+            "the model has no triangle: no height is known under the mosaic; are cells (--cell) too large?"
+        )
     colour = _closed(picture)
     coarse = simplified(mesh, TRIANGLES)
     walls = coarse.part(coarse.steep)
