@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
+from uav_vslam.config import StartConfig, VehicleConfig, parameter_file
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.error_plot import error_plot
 from uav_vslam.report.plots import write_plots
@@ -47,6 +48,15 @@ def test_the_plan_view_shows_each_track_of_each_vehicle_in_its_colour(pair):
     assert {name: len(lines(axes, name)) for name in ("truth", "c_slam", "ins")} == {"truth": 2, "c_slam": 2, "ins": 2}
     assert axes.get_xlabel() == "East [m]"
     assert axes.get_ylabel() == "North [m]"
+
+
+@pytest.mark.parametrize("method", ["static", "in_flight"])
+def test_a_map_that_begins_where_the_vehicle_headed_has_no_north(pair, method):
+    config = parameter_file({"/uav1/**": VehicleConfig(start=StartConfig(method=method)), "/uav2/**": VehicleConfig()})
+    found = dataclasses.replace(pair, config=config)
+    axes = plan_view(found).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
+    assert error_plot(found).axes[0].get_ylabel() == "x error [m]"
 
 
 def test_the_plan_view_has_equal_scales(pair):

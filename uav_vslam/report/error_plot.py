@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import FlightResult, VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.report.style import AXES, SIGMAS, STYLES, clean, tracks_of
+from uav_vslam.report.style import SIGMAS, STYLES, axes_of, clean, tracks_of
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def error_plot(result: FlightResult) -> Figure | None:
             _draw(grid[:, column], seconds, track.positions - truth.positions, track.covariance, name)
         grid[0, column].set_title(vehicle.name)
         grid[-1, column].set_xlabel("Time [s]")
-    for row, axis in enumerate(AXES):
+    for row, axis in enumerate(axes_of(result.config)):
         grid[row, 0].set_ylabel(f"{axis} error [m]")
     figure.suptitle(f"{result.name}: position errors and their {SIGMAS:.0f}-sigma bands")
     figure.legend(handles=_legend(vehicles), loc="outside lower center", ncols=6, frameon=False)

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.result import FlightResult
-from uav_vslam.report.style import LINE_COLOURS, clean
+from uav_vslam.report.style import LINE_COLOURS, clean, name_axes
 from uav_vslam.types import MappedLandmarks
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ INNER_PERCENTILES = (1.0, 99.0)  # of the landmarks: the few that are badly tria
 
 
 def landmark_view(result: FlightResult) -> Figure | None:
-    """Return the view from above, north up; None where the map was not recorded.
+    """Return the view from above; None where the map was not recorded.
 
     A landmark is a dot where S-SLAM last estimated it at an epoch. Some of them, evenly over the flight, have their
     1-sigma ellipse. Ellipses too small to be seen are all drawn larger by one factor, which the title states.
@@ -41,7 +41,8 @@ def landmark_view(result: FlightResult) -> Figure | None:
     stretch = draw_landmarks(axes, maps, float((high - low).max()))
     for name, colour in _colours(maps).items():
         _draw_path(axes, paths[name], colour)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    name_axes(axes, result.config)
     axes.set_title(f"{result.name}: S-SLAM's landmarks{ellipse_text(stretch)}")
     clean(axes)
     handles = [

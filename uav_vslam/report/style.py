@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Style of all plots: the thesis's colours, and the view limits."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ LINE_DASHES = ("-", "--", ":", "-.")
 MANY_DECADES = 500.0  # largest over smallest from which a logarithmic axis shows powers of ten only
 NARROW = 3.0  # largest over smallest up to which 1, 2 and 5 may leave a logarithmic axis with a single label
 AXES = ("East", "North", "Up")
+OWN_AXES = ("x", "y", "Up")  # of a map that begins with a start found at rest or in flight: x is where that headed
 SIGMAS = 3.0  # half the width of the bands around errors
 INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; the rest is clipped
 
@@ -51,6 +52,19 @@ STYLES = {  # the ground truth is a broad line below the estimates
     "ins": TrackStyle("INS", "#d62728", 1.3, "--", order=3),
     "truth": TrackStyle("Truth", "#8fa8ee", 5.0, order=2),
 }
+
+
+def axes_of(config: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return the names of the axes of a flight's maps, by its parameter file (which may be empty)."""
+    settings = [part.get("ros__parameters", {}) for part in config.values() if isinstance(part, dict)]
+    found_itself = any(own.get("start", {}).get("method") in {"static", "in_flight"} for own in settings)
+    return OWN_AXES if found_itself else AXES
+
+
+def name_axes(axes: Axes, config: Mapping[str, Any]) -> None:
+    """Name the axes of a view from above."""
+    x, y, _ = axes_of(config)
+    axes.set(xlabel=f"{x} [m]", ylabel=f"{y} [m]")
 
 
 def tracks_of(vehicle: VehicleResult) -> dict[str, Trajectory]:

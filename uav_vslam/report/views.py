@@ -19,7 +19,7 @@ from uav_vslam.report.landmark_view import (
     known_landmarks,
     landmark_handles,
 )
-from uav_vslam.report.style import STYLES, clean, tracks_of, view_limits
+from uav_vslam.report.style import STYLES, clean, name_axes, tracks_of, view_limits
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ LOWEST_IN, HIGHEST_IN = 2.2, 11.0  # of the axes
 
 
 def plan_view(result: FlightResult) -> Figure:
-    """Return the view from above, north up, with equal scales; landmarks have 1-sigma ellipses where they are known."""
+    """Return the view from above with equal scales; landmarks have 1-sigma ellipses where they are known."""
     low, high = view_limits(list(result.vehicles.values()))
     maps = known_landmarks(result)
     if maps:
@@ -46,7 +46,8 @@ def plan_view(result: FlightResult) -> Figure:
             points = _thin(track)
             axes.plot(points[:, 0], points[:, 1], **_line(name))
         _mark_ends(axes, vehicle.name, vehicle.truth or vehicle.s_slam)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    name_axes(axes, result.config)
     axes.set_title(f"{result.name}: plan view{ellipse_text(stretch) if maps else ''}")
     clean(axes)
     handles = [*_legend(result), *landmark_handles(maps)]

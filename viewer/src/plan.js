@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The plan view: equal axes, north up, drawn on a canvas.
+// The plan view: equal axes, drawn on a canvas.
 import { ellipseStretch, extent, poseAt } from "./scene.js";
 import { colour } from "./theme.js";
 
@@ -212,11 +212,11 @@ export class PlanView {
     }
     ink.stroke();
     ink.textAlign = "center";
-    ink.fillText("East [m]", (MARGIN_PX.left + this.width) / 2, this.height - 9);
+    ink.fillText(`${this.state.axes[0]} [m]`, (MARGIN_PX.left + this.width) / 2, this.height - 9);
     ink.save();
     ink.translate(10, bottom / 2);
     ink.rotate(-Math.PI / 2);
-    ink.fillText("North [m]", 0, 0);
+    ink.fillText(`${this.state.axes[1]} [m]`, 0, 0);
     ink.restore();
   }
 

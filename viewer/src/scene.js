@@ -25,7 +25,8 @@ export function showScene(element, scene, clock) {
 
 /** All tracks and landmark sets with their colours, and which of them are hidden. */
 class SceneState {
-  constructor({ flights, tracks }) {
+  constructor({ flights, tracks, axes }) {
+    this.axes = axes;
     this.several = flights.length > 1;
     this.dashes = this.several ? DASHES.several : DASHES.one; // of several runs, whose colours tell the runs apart
     this.flights = flights.map((flight) => flight.label);

@@ -72,7 +72,8 @@ export class SpaceView {
     grid.position.z = this.floor;
     this.things.add(grid);
     const reach = (count / 2 + 0.4) * step;
-    const place = [[reach, 0, "E"], [0, reach, "N"], [-reach, 0, "W"], [0, -reach, "S"]];
+    const directions = [[reach, 0, "E"], [0, reach, "N"], [-reach, 0, "W"], [0, -reach, "S"]];
+    const place = this.state.axes[0] === "East" ? directions : [[reach, 0, "x"], [0, reach, "y"]];
     place.forEach(([x, y, text]) => this.things.add(this.sign(text, x, y)));
     const larger = this.stretch > 1 ? `, ellipsoids ${this.stretch} times as large` : "";
     const drawn = this.state.landmarks.length && !this.state.hidden.has("ellipses");

@@ -27,6 +27,16 @@ def test_tracks_are_those_of_the_flight_with_time_from_its_start(scene: dict) ->
         np.testing.assert_allclose(np.reshape(track["cov_plane"], (-1, 3)), np.tile([0.25, 0.0, 0.25], (FRAMES, 1)))
 
 
+@pytest.mark.parametrize(("methods", "x"), [(["given"], "East"), (["in_flight"], "x"), (["given", "static"], "x")])
+def test_a_map_that_begins_where_the_vehicle_headed_has_no_north(methods: list[str], x: str, tmp_path: Path) -> None:
+    flights = []
+    for method in methods:
+        folder = write_bare(tmp_path / method)
+        (folder / "config.yaml").write_text(f"/**: {{ros__parameters: {{start: {{method: {method}}}}}}}")
+        flights.append(read_flight(folder, method))
+    assert scene_data(flights)["axes"][0] == x
+
+
 def test_ellipsoids_have_the_covariance_of_the_landmarks(scene: dict) -> None:
     landmarks = scene["vehicles"][0]["landmarks"]
     assert landmarks["count"] == len(landmarks["x"]) == LANDMARKS

@@ -10,7 +10,7 @@ from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.page.charts import Array, Band, Chart, Line
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
-from uav_vslam.report.style import AXES, SIGMAS, STYLES
+from uav_vslam.report.style import SIGMAS, STYLES, axes_of
 
 LOWEST_NEES = 1e-3  # perfect poses would be at minus infinity of a logarithmic axis
 
@@ -18,7 +18,8 @@ LOWEST_NEES = 1e-3  # perfect poses would be at minus infinity of a logarithmic 
 def error_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the error along each axis with its band; none without ground truth."""
     pairs = _pairs(vehicle)
-    return [Chart(f"{axis} error [m]", *_errors(flight, pairs, k)) for k, axis in enumerate(AXES)] if pairs else []
+    axes = axes_of(flight.config) if pairs else ()
+    return [Chart(f"{axis} error [m]", *_errors(flight, pairs, k)) for k, axis in enumerate(axes)]
 
 
 def nees_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:

@@ -33,7 +33,7 @@ VIEWS = """\
 <div data-scene class="scene">
   <div class="layers" role="group" aria-label="What the views show"></div>
   <div class="views">
-    <figure><div class="plan" tabindex="0"></div><figcaption>Plan view, north up, axes in metres. Drag to move, wheel
+    <figure><div class="plan" tabindex="0"></div><figcaption>Plan view, axes in metres. Drag to move, wheel
     or + and - to zoom, 0 to fit; point at a track or landmark to read it.</figcaption></figure>
     <figure><div class="space"></div><figcaption>3-D view. Drag to turn, wheel to zoom, right button or two fingers to
     move.</figcaption></figure>

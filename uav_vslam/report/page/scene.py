@@ -9,7 +9,7 @@ from uav_vslam.evaluation.flight_tables import COVARIANCE
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.page.charts import Data, numbers, points_of_each, thinned
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
-from uav_vslam.report.style import STYLES
+from uav_vslam.report.style import OWN_AXES, STYLES, axes_of
 
 ROWS, COLUMNS = np.triu_indices(3)
 MOST_LANDMARKS = 8000  # of all vehicles together
@@ -19,7 +19,9 @@ FLOOR_M2 = 1e-12  # variance at which an ellipsoid would be flat
 def scene_data(flights: list[FlightFiles]) -> Data:
     """Return all flights' trajectories and landmarks [m] in their map frames."""
     vehicles = sum(len(flight.vehicles) for flight in flights)
+    axes = {axes_of(flight.config) for flight in flights}
     return {
+        "axes": axes.pop() if len(axes) == 1 else OWN_AXES,
         "tracks": {name: {"label": style.label, "width": style.width} for name, style in STYLES.items()},
         "flights": [
             {
