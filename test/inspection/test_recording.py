@@ -56,6 +56,12 @@ def test_a_clean_recording_has_no_fault(clean: Path) -> None:
     assert found.block == ""
 
 
+def test_two_flights_given_as_one_are_named(clean: Path, tmp_path: Path) -> None:
+    another = rewritten(clean, tmp_path / "another")
+    found = inspect_bags((clean, another), "uav1", VehicleConfig())[1]
+    assert_named(found, [("warning", "recordings", ["both hold /uav1/imu/data_raw during the same"])])
+
+
 @pytest.mark.parametrize("seed", [1, 2, 4, 5])
 def test_neither_have_other_flights(seed: int, tmp_path: Path) -> None:
     scenario = dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=24, scale=0.15, seed=seed)

@@ -102,7 +102,7 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
         yield setup.files.unequal_clocks
     if setup.rectified_twice:
         yield setup.rectified_twice
-    yield from _recorded_together(bags, setup.config.topic(setup.vehicle, "imu"))
+    yield from recorded_together(bags, setup.config.topic(setup.vehicle, "imu"))
     yield from setup.frames.faults
     if setup.frames.moved:
         frames = ", ".join(sorted(setup.frames.moved))
@@ -119,7 +119,7 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
         yield f"{topic} {conflict}"
 
 
-def _recorded_together(bags: Sequence[Path], topic: str) -> Iterator[str]:
+def recorded_together(bags: Sequence[Path], topic: str) -> Iterator[str]:
     """Yield which bags hold a topic at the same time: its messages would be those of two sensors, or of two flights."""
     spans = []
     for bag in bags if len(bags) > 1 else ():

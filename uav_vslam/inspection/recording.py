@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig, replaced
-from uav_vslam.datasets.bag import DEFAULT_VEHICLE, open_flight
+from uav_vslam.datasets.bag import DEFAULT_VEHICLE, open_flight, recorded_together
 from uav_vslam.datasets.calibration_files import KINDS
 from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo, topics_of
@@ -108,6 +108,8 @@ def inspect_bags(
         found.findings.insert(0, topics.other_body(config.input.base_frame(vehicle), base))
     if foreign:
         found.findings.insert(0, topics.foreign(config.input.topic(vehicle, "left"), guess))
+    for text in recorded_together(paths, used.input.topic(vehicle, "imu")):
+        found.findings.insert(0, warning("recordings", text, "parts of one flight", "see the text"))
     if found.usable:
         found.findings += _refused(paths, vehicle, used)
     noise = recommended(found.noise)
