@@ -121,8 +121,9 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
 
 def recorded_together(bags: Sequence[Path], topic: str) -> Iterator[str]:
     """Yield which bags hold a topic at the same time: its messages would be those of two sensors, or of two flights."""
+    holding = [bag for bag in bags if topic in topics_of([bag])] if len(bags) > 1 else []
     spans = []
-    for bag in bags if len(bags) > 1 else ():
+    for bag in holding if len(holding) > 1 else ():  # to find its last message, all of the topic is read
         if stamps_ns := [raw.stamp_ns for raw in iter_readable([bag], [topic])]:
             spans.append((bag, min(stamps_ns), max(stamps_ns)))
     for (a, begin_a, end_a), (b, begin_b, end_b) in combinations(spans, 2):

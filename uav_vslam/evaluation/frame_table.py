@@ -33,7 +33,7 @@ def write_frames(vehicle: VehicleResult, path: Path) -> None:
             writer.writerow(
                 [
                     frame.stamp_ns,
-                    f"{(frame.stamp_ns - frames[0].stamp_ns) / NS_PER_S:.6f}",
+                    f"{(frame.stamp_ns - vehicle.start_ns) / NS_PER_S:.6f}",
                     *(getattr(frame, name) for name in COUNTS),
                     *(int(getattr(frame, name)) for name in FLAGS),
                     *_innovation(frame),

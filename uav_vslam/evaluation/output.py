@@ -159,10 +159,9 @@ def _write_vehicles(result: FlightResult, folder: Path) -> None:
                 write_csv(trajectory, folder / f"{name}_{track}.csv")
         if vehicle.frames is not None:
             write_frames(vehicle, folder / f"{name}_frames.csv")
-        start_ns = vehicle.frames[0].stamp_ns if vehicle.frames else next(iter(vehicle.s_slam.stamps_ns.tolist()), 0)
         if vehicle.epochs:
-            write_link(vehicle.epochs, folder / f"{name}_link.csv", start_ns=start_ns)
+            write_link(vehicle.epochs, folder / f"{name}_link.csv", start_ns=vehicle.start_ns)
         if any(vehicle.stage_s.values()):
-            write_timing(vehicle.stage_s, folder / f"{name}_timing.csv", start_ns=start_ns)
+            write_timing(vehicle.stage_s, folder / f"{name}_timing.csv", start_ns=vehicle.start_ns)
         if vehicle.landmarks is not None:
             write_landmarks(vehicle.landmarks, folder / f"{name}_landmarks.csv")

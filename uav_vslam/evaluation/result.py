@@ -69,6 +69,12 @@ class VehicleResult:
     epochs: tuple[LinkEpoch, ...] = ()
     stage_s: dict[str, dict[int, float]] = field(default_factory=dict)
 
+    @property
+    def start_ns(self) -> int:
+        """Stamp of the first frame, from which tables count time [ns]; 0 without any."""
+        first = self.frames[0].stamp_ns if self.frames else next(iter(self.s_slam.stamps_ns), 0)
+        return int(first)
+
 
 @dataclass(frozen=True, slots=True)
 class FlightResult:

@@ -11,6 +11,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
+from uav_vslam.ins.propagation import ACCEL_BIAS
 from uav_vslam.types import ImuSample, NavEstimate, NavState
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
 
 def biased_rest(start: NavEstimate, imu: ImuConfig) -> str:
     """Return what a start at rest has found of the accelerometer's bias; empty if it is as configured."""
-    sigma = float(np.sqrt(start.covariance[-1, -1]))
+    sigma = float(np.sqrt(start.covariance[ACCEL_BIAS, ACCEL_BIAS][0, 0]))
     if sigma <= imu.accel_bias_sigma:
         return ""
     return (

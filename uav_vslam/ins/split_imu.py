@@ -37,13 +37,12 @@ class SplitImu(Generic[T]):
 
     def add_accel(self, stamp_ns: int, force: Array) -> list[tuple[T, Array]]:
         """Add a (3,) specific force; return the readings that it completes, each with its own."""
-        newest_ns = self._forces[-1][0] if self._forces else stamp_ns
-        if stamp_ns < newest_ns - LATE_NS:
+        if self._forces and stamp_ns <= self._forces[-1][0]:
+            if stamp_ns >= self._forces[-1][0] - LATE_NS:
+                return []  # recorded late or twice
             self.unmatched += len(self._waiting)
             self._waiting.clear()
             self._forces.clear()
-        elif stamp_ns <= newest_ns and self._forces:
-            return []  # recorded late or twice
         self._forces.append((stamp_ns, force))
         return self._complete()
 

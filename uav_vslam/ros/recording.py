@@ -70,9 +70,11 @@ class Recording:
         inputs = dict(inputs or {})
         self.vehicles = tuple(vehicles) or tuple(inputs) or tuple(vehicles_of(paths))
         self._setups = {name: SensorSetup.of(name, inputs.get(name, InputConfig())) for name in self.vehicles}
-        self._gyro_topics: dict[str, str] = {}  # by the accelerometer's, whose readings the gyroscope's messages get
-        for vehicle, setup in self._setups.items():
-            self._gyro_topics |= setup.config.gyro_topics(vehicle)
+        self._gyro_topics = {  # by the accelerometer's, whose readings the gyroscope's messages get
+            accel: gyro
+            for vehicle, setup in self._setups.items()
+            for accel, gyro in setup.config.gyro_topics(vehicle).items()
+        }
         self._roles = {topic: (vehicle, role) for vehicle in self.vehicles for role, topic in self._named(vehicle)}
         self.topics = {topic: info for topic, info in known.items() if self._is_input(topic)}
         self.damage: list[str] = []

@@ -78,7 +78,7 @@ def write_model(
     origin, glb = _origin(picture.raster), folder / "model.glb"
     scene = _scene(coarse.part(~coarse.steep), colour, picture.raster, walls, shades, origin)
     _write(glb, scene.export(file_type="glb"))
-    coloured = _coloured(simplified(mesh, PLY_TRIANGLES), colour, picture.raster, origin)
+    coloured = _coloured(simplified(mesh, PLY_TRIANGLES), colour, picture.raster).apply_translation(-origin)
     _write(folder / "model.ply", coloured.export(file_type="ply"))
     moved = {"ply_origin_m": origin.tolist()} if origin.any() else {}
     return {"triangles": len(coarse.faces), "bytes": glb.stat().st_size} | moved
@@ -134,25 +134,26 @@ def _scene(
 ) -> trimesh.Scene:
     scene, place = trimesh.Scene(), trimesh.transformations.translation_matrix(origin)
     if len(ground.faces):
-        made = _textured(ground, colour, raster, origin)
+        made = _textured(ground, colour, raster).apply_translation(-origin)
         scene.add_geometry(made, geom_name="ground", node_name="ground", transform=place)
     if len(walls.faces):
         corners = Mesh(walls.vertices[walls.faces].reshape(-1, 3), np.arange(walls.faces.size).reshape(-1, 3))
         rgba = _rgba(np.repeat(shades, 3, axis=0))
-        made = trimesh.Trimesh(corners.vertices - origin, corners.faces, vertex_colors=rgba, process=False)
+        made = trimesh.Trimesh(corners.vertices, corners.faces, vertex_colors=rgba, process=False)
+        made.apply_translation(-origin)
         scene.add_geometry(made, geom_name="walls", node_name="walls", transform=place)
     scene.apply_transform(Y_UP)
     return scene
 
 
-def _textured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster, origin: Array) -> trimesh.Trimesh:
+def _textured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.Trimesh:
     west, south, east, north = raster.bounds_m
     uv = (mesh.vertices[:, :2] - [west, south]) / [east - west, north - south]
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=_texture(colour), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
     )
     visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    return trimesh.Trimesh(mesh.vertices - origin, mesh.faces, visual=visual, process=False)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
 
 
 def _texture(colour: NDArray[np.uint8]) -> PillowImage.Image:
@@ -171,9 +172,9 @@ def _texture(colour: NDArray[np.uint8]) -> PillowImage.Image:
         scale *= 0.85
 
 
-def _coloured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster, origin: Array) -> trimesh.Trimesh:
+def _coloured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.Trimesh:
     rgba = _rgba(_looked_up(colour, raster, mesh.vertices))
-    return trimesh.Trimesh(mesh.vertices - origin, mesh.faces, vertex_colors=rgba, process=False)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=rgba, process=False)
 
 
 def _rgba(bgr: Array) -> NDArray[np.uint8]:
