@@ -36,7 +36,9 @@ class BackendConfig(Settings):
     gamma: float = setting(
         100.0, "bound of uhf and thesis_uhf: smaller is more cautious; uhf raises it where infeasible", above=0
     )
-    sigma_px: float = setting(1.0, "standard deviation of each stereo pixel coordinate", unit="px", above=0, live=True)
+    sigma_px: float = setting(
+        1.0, "standard deviation of each raw stereo pixel coordinate", unit="px", above=0, live=True
+    )
     depth_sigma_ratio: float = setting(
         0.043,
         "relief / depth of the ground, to which the depth in the Jacobian is smoothed where points show it; 0: off",

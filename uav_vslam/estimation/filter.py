@@ -391,6 +391,7 @@ class Filter(JointState):
         points_left = camera.rig.triangulate(pixels)
         triangulated = np.asarray(np.isfinite(points_left).all(axis=1))
         points_left = points_left[triangulated]
+        sigma_px = self.sigma_px * camera.rig.magnification(pixels[triangulated])
         T_map_left = camera.nav.T_map_body @ camera.rig.T_body_left
         landmarks = T_map_left.apply(points_left)
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
@@ -401,7 +402,7 @@ class Filter(JointState):
             known=partial(self._in_view, camera),
         )
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
-        kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self.sigma_px
+        kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / sigma_px[:, None, None]
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)
         self._set_mean(landmarks=np.vstack([self.landmarks, landmarks]))
         return triangulated

@@ -51,7 +51,7 @@ class Camera:
         model: error coordinates of the navigation state.
         nav: navigation state at the exposure.
         rate_map: (3,) angular rate at the exposure [rad/s].
-        sigma_px: of each pixel coordinate.
+        sigma_px: of each raw pixel coordinate.
         depth_sigma_ratio: see `observation.smoothed`.
         past_rows: number of rows of past poses, the last ones of the vehicle's error.
     """
@@ -136,8 +136,10 @@ class Jacobians:
             points_left, _depth_variance(J_vehicle, J_landmark, P), depth_sigma_ratio=camera.depth_sigma_ratio
         )
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
-        R = np.tile(camera.sigma_px**2 * np.eye(4), (len(landmarks), 1, 1))
-        return PredictedObservation(which, points_left, camera.rig.project(points_left), H_vehicle, H_landmark, R, P)
+        expected = camera.rig.project(points_left)
+        sigma_px = camera.sigma_px * camera.rig.magnification(expected)
+        R = sigma_px[:, None, None] ** 2 * np.eye(4)
+        return PredictedObservation(which, points_left, expected, H_vehicle, H_landmark, R, P)
 
 
 class Cubature:

@@ -105,6 +105,6 @@ def projectable(rig: StereoRig, points_left: Array, *, margin_px: float = 0.0) -
 
 
 def triangulation_covariance(rig: StereoRig, points_left: Array, sigma_px: float) -> Array:
-    """Return (N, 3, 3) covariances of points triangulated from pixels with sigma_px [px]."""
-    J = rig.project_jacobian(points_left)
+    """Return (N, 3, 3) covariances of points triangulated from raw pixels with sigma_px [px]."""
+    J = rig.project_jacobian(points_left) / rig.magnification(rig.project(points_left))[:, None, None]
     return np.asarray(sigma_px**2 * np.linalg.inv(np.einsum("nki,nkj->nij", J, J)))

@@ -196,7 +196,8 @@ class _Views:
             R_camera_map = np.swapaxes(past.R @ T_body_camera.R, 1, 2)
             centre = past.t + past.R @ T_body_camera.t
             self._cameras.append((camera, R_camera_map, -(R_camera_map @ centre[..., None])[..., 0]))
-        self._left_whitening, self._right_whitening = _whitening(tracks, sigma_px)
+        raw_per_px = 1.0 / rig.magnification(tracks.pixels)[:, None, :]
+        self._left_whitening, self._right_whitening = (W * raw_per_px for W in _whitening(tracks, sigma_px))
         self.ahead: Array = (past.pose(-1) @ rig.T_body_left).apply(np.array([0.0, 0.0, 1e3 * rig.baseline_m]))
 
     def first_points(self) -> Array:

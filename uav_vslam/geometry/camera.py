@@ -22,6 +22,7 @@ COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}  # o
 UNDISTORT_ITERATIONS = 20
 UNDISTORTED_PX = 1e-3  # largest reprojection error of a converged solution
 MAX_RAY = 10.0  # tangent of the largest angle from the axis that a pinhole can stand for, 84 degrees
+MOST_MAGNIFIED = 100.0  # also where the distortion model folds over, and nothing is imaged
 OPENCV_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 
@@ -129,7 +130,7 @@ class PinholeCamera:
         wide lenses; the other models by OpenCV.
         """
         raw = np.asarray(pixels, dtype=float)
-        if not np.any(self.distortion) and self.model != "equidistant":
+        if not self._distorts:
             return raw.copy()
         if self.model != "plumb_bob":
             return self._undistort_by_opencv(raw)
@@ -141,6 +142,24 @@ class PinholeCamera:
             if lost.any():
                 ideal[lost] = self._undistort_by_newton(raw[lost])
         return ideal
+
+    def magnification(self, pixels: ArrayLike) -> Array:
+        """Return (...,) how many times larger errors of raw pixels are at (..., 2) undistorted ones.
+
+        The root mean square over all directions: with J = d(raw)/d(undistorted), the Frobenius norm of J^-1 / sqrt(2).
+        """
+        ideal = np.asarray(pixels, dtype=float)
+        if not self._distorts:
+            return np.ones(ideal.shape[:-1])
+        ahead, behind = (self.distort(ideal[..., None, :] + half) for half in (0.5 * np.eye(2), -0.5 * np.eye(2)))
+        (a, b), (c, d) = np.moveaxis(ahead - behind, (-2, -1), (0, 1))
+        norm, J_det = np.sqrt(0.5 * (a * a + b * b + c * c + d * d)), a * d - b * c
+        imaged = (J_det * MOST_MAGNIFIED > norm) & (a + d > 0)
+        return np.where(imaged, norm / np.where(imaged, J_det, 1.0), MOST_MAGNIFIED)
+
+    @property
+    def _distorts(self) -> bool:
+        return self.model == "equidistant" or bool(np.any(self.distortion))
 
     def _equidistant_scale(self, radius: Array) -> Array:
         """Return by how much the lens shrinks rays (x, y, 1) at a radius = tan(theta)."""

@@ -96,6 +96,15 @@ class StereoRig:
         T = self.T_right_left
         return np.concatenate([self.left.project_jacobian(p), self.right.project_jacobian(T.apply(p)) @ T.R], axis=-2)
 
+    def magnification(self, pixels: ArrayLike) -> Array:
+        """Return (...,) how many times larger errors of raw pixels are at (..., 4) undistorted ones, see the camera's.
+
+        The root mean square of both cameras.
+        """
+        z = np.asarray(pixels, dtype=float)
+        left, right = self.left.magnification(z[..., :2]), self.right.magnification(z[..., 2:])
+        return np.asarray(np.sqrt(0.5 * (left**2 + right**2)))
+
     def triangulate(self, pixels: ArrayLike, *, refinements: int = 2) -> Array:
         """Triangulate stereo pixels: midpoint of the rays, then Gauss-Newton refinement.
 

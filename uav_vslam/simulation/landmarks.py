@@ -46,7 +46,7 @@ class LandmarkNoise:
     """Quality of the simulated front end.
 
     Attributes:
-        sigma_px: standard deviation of each stereo pixel coordinate [px].
+        sigma_px: standard deviation of each raw stereo pixel coordinate [px].
         descriptor_sigma: standard deviation of each descriptor entry between views.
         wrong_share: share of the features that carry another feature's descriptor.
         lookalike_share: share of the features moved to a similar point a few pixels away: such wrong matches pass a
@@ -117,7 +117,8 @@ def observe(
         if noise.missed_share > 0:
             found = rng.random(len(pixels)) >= noise.missed_share
             pixels, seen[seen] = pixels[found], found
-        pixels = pixels + rng.normal(0.0, noise.sigma_px, pixels.shape)
+        magnified = vehicle.rig.magnification(pixels)[:, None]
+        pixels = pixels + magnified * rng.normal(0.0, noise.sigma_px, pixels.shape)
         ids = near[seen]
         pixels, ids = _swap_pixels(pixels, ids, noise.wrong_share, rng)
         pixels, ids = _add_lookalikes(pixels, ids, noise.lookalike_share, vehicle.rig, rng)

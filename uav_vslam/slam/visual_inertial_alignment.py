@@ -138,13 +138,14 @@ def _solve(
     motion = _Motion.through(views)
     z, seen = _table(pixels, views)
     points = rig.T_body_left.apply(rig.triangulate(pixels))
+    noise_px = sigma_px * rig.magnification(z)[..., None]
     x = _first_guess(rig, motion, z, seen, points, imu.gravity)
     by_x, T_map_body = motion.by_x, Pose.identity()
     if known is not None:
         by_x, T_map_body = block_diag(by_x, np.eye(POSE_DIM)), known.T_map_body
         seen = np.concatenate([seen, known.seen(len(points))], axis=1)
     for step in range(ROBUST_STEPS + FINAL_STEPS):
-        residual, J_pose, J_point = _linearise(rig, motion, x, points, z, sigma_px)
+        residual, J_pose, J_point = _linearise(rig, motion, x, points, z, noise_px)
         if known is not None:
             residual, J_pose, J_point = known.appended(T_map_body, points, residual, J_pose, J_point)
         chi2 = np.einsum("nki,nki->nk", residual, residual)
@@ -229,17 +230,17 @@ def _first_guess(
 
 
 def _linearise(
-    rig: StereoRig, motion: _Motion, x: Array, points: Array, z: Array, sigma_px: float
+    rig: StereoRig, motion: _Motion, x: Array, points: Array, z: Array, noise_px: Array
 ) -> tuple[Array, Array, Array]:
-    """Return residuals (N, K, 4) in sigmas, and the prediction by pose (N, K, 4, 6) and by point (N, K, 4, 3)."""
+    """Return residuals (N, K, 4) in sigmas (N, K, 1), their prediction by pose (N, K, 4, 6) and point (N, K, 4, 3)."""
     R, p = motion.poses(x)
     body = np.einsum("kji,nkj->nki", R, points[:, None] - p)
     left = (body - rig.T_body_left.t) @ rig.T_body_left.R
     left[..., 2] = np.maximum(left[..., 2], MIN_DEPTH_M)
-    J_body = rig.project_jacobian(left) @ rig.T_body_left.R.T / sigma_px
+    J_body = rig.project_jacobian(left) @ rig.T_body_left.R.T / noise_px[..., None]
     J_point = J_body @ R.transpose(0, 2, 1)
     J_pose = np.concatenate([J_body @ skew(body), -J_point], axis=-1)
-    return (z - rig.project(left)) / sigma_px, J_pose, J_point
+    return (z - rig.project(left)) / noise_px, J_pose, J_point
 
 
 def _cauchy(chi2: Array, seen: NDArray[np.bool_]) -> Array:

@@ -36,8 +36,8 @@ class PixelNoise:
     """Noise of the observations of one point.
 
     Attributes:
-        white_px: of each pixel coordinate, independent in each frame [px].
-        offset_px: of each coordinate of the right image, constant [px].
+        white_px: of each raw pixel coordinate, independent in each frame [px].
+        offset_px: of each coordinate of the raw right image, constant [px].
         drift: of each coordinate of both images, per distance that the image of the point has moved.
         cut: length of the normalised residual beyond which an observation is wrong and does not count.
     """

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stereo observations of points as least squares [triggs00], the points eliminated by Schur complement.
 
-An observation is z = h(c) + (0, b) + s m + noise: c the point in the left camera frame, b an offset of the right
-image that is common to all observations of one point (the right image is matched to one patch as long as that is
-tracked), and s the drift of the tracked patch with the distance m that its image has moved (it is seen from another
-direction). A point's unknowns are y = (position, b, s), seven of them. With J the Jacobian by the pose (position, xi),
-K by y and r the residual, all divided by the noise, elimination leaves for the poses i and j of a point
+An observation is z = h(c) + a (0, b) + s m + a noise: c the point in the left camera frame, a by how much undistortion
+magnifies errors, b an offset of the right image that is common to all observations of one point (the right image is
+matched to one patch as long as that is tracked), and s the drift of the tracked patch with the distance m that its
+image has moved (it is seen from another direction). A point's unknowns are y = (position, b, s), seven of them. With J
+the Jacobian by the pose (position, xi), K by y and r the residual, all divided by the noise, elimination leaves for the
+poses i and j of a point
 
     H_ij = [i = j] sum J' J - E_i E_j',   g_i = sum J' r - E_i e,   E = J' K L^-T,   e = L^-1 K' r,   L L' = sum K' K.
 
@@ -54,16 +55,18 @@ def linearise(sightings: Sightings, cameras: Cameras, points: Array, noise: Pixe
     seen = cameras.observe(sightings.states, own[:, :3])
     far = _image_motion(sightings)
     expected = seen.expected + own[:, [5, 6, 5, 6]] * far[:, None]
-    expected[:, 2:] += own[:, 3:5]
-    residual = (sightings.pixels - expected) / noise.white_px
+    magnified = cameras.rig.magnification(sightings.pixels)[:, None]
+    expected[:, 2:] += magnified * own[:, 3:5]
+    white_px = magnified * noise.white_px
+    residual = (sightings.pixels - expected) / white_px
     misfit = np.einsum("mi,mi->m", residual, residual)
     weight = np.sqrt(np.minimum(1.0, HUBER / np.sqrt(np.maximum(misfit, 1e-12)))) * (misfit <= noise.cut**2)
-    scale = weight / noise.white_px
+    scale = weight[:, None] / white_px
     by_point = np.zeros((len(own), 4, POINT_DIM))
     by_point[:, :, :3] = seen.by_point
-    by_point[:, 2, 3] = by_point[:, 3, 4] = 1.0
+    by_point[:, 2, 3] = by_point[:, 3, 4] = magnified[:, 0]
     by_point[:, [0, 2], 5] = by_point[:, [1, 3], 6] = far[:, None]
-    by_pose, by_point, by_rig = (scale[:, None, None] * J for J in (seen.by_pose, by_point, seen.by_rig))
+    by_pose, by_point, by_rig = (scale[..., None] * J for J in (seen.by_pose, by_point, seen.by_rig))
     return Linearised(weight[:, None] * residual, by_pose, by_point, by_rig, misfit)
 
 

@@ -52,7 +52,7 @@ class StereoGate:
         depth = self._rig.triangulate(pixels)[:, 2]
         focal_baseline = self._rig.left.fx * self._rig.baseline_m
         least_px = focal_baseline / self._config.max_depth_m - 0.5 * self._noise_px
-        good = self._rig.epipolar_distance(pixels) <= self.epipolar_px
+        good = self._rig.epipolar_distance(pixels) <= self.epipolar_px * self._rig.magnification(pixels)
         good &= (depth >= self._config.min_depth_m) & (focal_baseline >= least_px * depth)  # NaN compares as False
         disparity = focal_baseline / depth[good]
         good[good] = supported_disparities(pixels[good, :2], disparity, noise_px=self._noise_px)

@@ -127,5 +127,6 @@ def _linearised(
     left[:, 2] = np.maximum(left[:, 2], MIN_DEPTH_M)
     H_point = rig.project_jacobian(left) @ R_left_map
     H = np.concatenate([-H_point, H_point @ skew(arm)], axis=2)
-    S = H_point @ D @ np.swapaxes(H_point, 1, 2) + sigma_px**2 * np.eye(STEREO_DOF)
+    noise_px = sigma_px * rig.magnification(z)[:, None, None]
+    S = H_point @ D @ np.swapaxes(H_point, 1, 2) + noise_px**2 * np.eye(STEREO_DOF)
     return z - rig.project(left), H, symmetrise(S)
