@@ -240,6 +240,17 @@ def test_a_navigation_state_whose_covariance_is_not_positive_definite_is_refused
     assert refusal(convert.navigation_from_msg, message) == "covariance"
 
 
+def test_a_navigation_state_of_whose_covariance_one_triangle_is_filled_in_is_refused() -> None:
+    message = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")
+    sigmas = np.logspace(-6, 1, 15)
+    whole = np.outer(sigmas, sigmas) * (0.5 + 0.5 * np.eye(15))
+    message.covariance = (whole * (1.0 + 1e-9 * np.tri(15))).ravel()  # rounded by its sender
+    convert.navigation_from_msg(message)
+    for triangle in (np.triu(whole), np.tril(whole)):  # a factorisation reads one of them, and would see no fault
+        message.covariance = triangle.ravel()
+        assert refusal(convert.navigation_from_msg, message) == "covariance"
+
+
 @pytest.mark.parametrize("w", [0.0, NAN])
 def test_an_invalid_orientation_is_refused(w: float) -> None:
     nav = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")

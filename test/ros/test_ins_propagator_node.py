@@ -101,9 +101,11 @@ def test_a_start_long_after_the_first_imu_samples_is_waited_for(make: Make) -> N
     deliver(node, "initial_state", start_at(NOW_NS + round(wait_s * NS_PER_S)))
     rest(node, NOW_NS, 0.1)
     assert node.notes["start"].startswith("given +30.9")
+    assert node.alarms["start_ahead"] == "no start yet: initial_state is stamped 30.9 s after the newest IMU sample"
     assert node._live is None
     rest(node, NOW_NS + 105_000_000, wait_s)
     assert node._live is not None
+    assert not node.alarms
     assert node.counts["increments"] == 3  # to the images in the last 0.1 s
 
 

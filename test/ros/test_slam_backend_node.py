@@ -9,12 +9,14 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from lone_node import deliver, lone_node  # noqa: E402
+from sensor_msgs.msg import CameraInfo  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.config import ImuConfig  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.increments import unknown_motion  # noqa: E402
-from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
+from uav_vslam.ros.convert import features_to_msg, increment_to_msg, navigation_to_msg, transform_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.slam.frame_output import FrameOutput  # noqa: E402
 from uav_vslam.slam.frame_queue import MAX_WAITING  # noqa: E402
@@ -92,6 +94,34 @@ def test_inputs_that_can_not_be_right_are_failures(
     monkeypatch.setattr(SlamStage, reason, "")
     fly(node, 1001 * NS_PER_S, 1)
     assert subject not in node.failures
+
+
+def test_no_frame_uses_a_start_state_of_another_frame_than_the_body(node: SlamBackendNode) -> None:
+    """Nor does the INS, which names it: it would go on from the estimate of a frame at the start's stamp."""
+    begin_ns = 1000 * NS_PER_S
+    cameras = {"left": Pose.identity(), "right": Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))}
+    for side in cameras:
+        info = CameraInfo(width=64, height=48, k=[50.0, 0.0, 32.0, 0.0, 50.0, 24.0, 0.0, 0.0, 1.0])
+        info.header.frame_id = f"uav1/{side}_optical"
+        deliver(node, f"{side}/camera_info", info)
+    edges = [
+        transform_to_msg(place, stamp_ns=0, parent="uav1/base_link", child=f"uav1/{side}_optical")
+        for side, place in cameras.items()
+    ]
+    deliver(node, "/tf_static", TFMessage(transforms=edges))
+    start = NavEstimate(NavState(begin_ns, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3)), np.eye(15))
+    given = navigation_to_msg(start, frame_id="uav1/map", child_frame_id="uav1/right_optical")
+    deliver(node, "initial_state", given)
+    fly(node, begin_ns, 1)
+    assert node._stage.nav is None
+    assert "uav1/right_optical, which /tf_static places elsewhere than the body" in node.alarms["start_frame"]
+    given.child_frame_id = node.base_frame
+    deliver(node, "initial_state", given)
+    assert node._stage.nav is not None
+    assert "start_frame" not in node.alarms
+    given.child_frame_id = "uav1/right_optical"
+    deliver(node, "initial_state", given)  # of another flight: the present one goes on
+    assert "start_frame" not in node.alarms
 
 
 def test_features_before_the_calibration_are_a_warning_that_says_what_is_missing(node: SlamBackendNode) -> None:

@@ -61,6 +61,7 @@ PLAIN_CDR = (b"\0\0", b"\0\1")  # big and little endian
 CDR_HEADER, FRAME_ID = 4, 16  # bytes before the content, and before the frame_id's characters
 # After the frame_id: orientation, rate and force, each with its covariance.
 IMU_NUMBERS, GYRO, GYRO_COVARIANCE, ACCEL, ACCEL_COVARIANCE = 37, slice(13, 16), 16, slice(25, 28), 28
+ASYMMETRY = 1e-6  # of a covariance, in correlation: more is no rounding
 NOT_MEASURED = -1.0  # in sensor_msgs/Imu the first number of the covariance of what the device does not measure
 
 
@@ -294,7 +295,7 @@ def navigation_state_of(built: Any) -> NavEstimate:
     """Return the estimate of a NavigationState message.
 
     Raises:
-        InvalidMessage: the quaternion is zero, or a number is not finite.
+        InvalidMessage: the quaternion is zero, a number is not finite, or the covariance is not symmetric.
     """
     try:
         pose = _pose_of(built.pose)
@@ -306,6 +307,9 @@ def navigation_state_of(built: Any) -> NavEstimate:
     for what, numbers in zip(names, (*parts, P), strict=True):
         if not np.isfinite(numbers).all():
             raise InvalidMessage("not_finite", f"{what} holds NaN or infinity")
+    sigmas = np.sqrt(np.abs(np.diag(P)))
+    if (np.abs(P - P.T) > ASYMMETRY * np.outer(sigmas, sigmas)).any():
+        raise InvalidMessage("covariance", "the covariance is not symmetric; fill in both triangles of the matrix")
     return NavEstimate(NavState(stamp_ns_of(built), pose, *parts[1:]), P)
 
 

@@ -66,6 +66,10 @@ class RigListener:
             return f"there is no valid camera_info of the {' and the '.join(sides)} camera"
         return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; {PUBLISH}{_likely_base(self._setup)}"
 
+    def conflict(self, frame: str) -> str:
+        """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""
+        return self._setup.conflict(frame)
+
     def left_frame(self, of_images: str) -> str:
         """Return the frame of the left camera; where nothing else names it, that of its images."""
         return (self._setup.camera_frame("left") or of_images).lstrip("/")

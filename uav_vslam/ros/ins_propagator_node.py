@@ -172,8 +172,12 @@ class InsPropagatorNode(VehicleNode):
 
     def _start_if_confirmed(self) -> None:
         """Start once IMU samples are near the start state's stamp, or say why there is no estimate until another."""
-        if (ahead_s := self._pending_start.ahead_s) is not None:
+        ahead_s = self._pending_start.ahead_s
+        if ahead_s is not None:
             self.notes["start"] = f"given {ahead_s:+.1f} s from the newest IMU sample"
+        waits = ahead_s is not None and ahead_s > MAX_APART_S
+        early = f"no start yet: initial_state is stamped {ahead_s:.1f} s after the newest IMU sample" if waits else ""
+        self.report_alarm("start_ahead", early, logged=True)
         found = self._pending_start.confirmed(self._sensors.conflict)
         if isinstance(found, Refusal):
             self.drop(found.reason, found.text)

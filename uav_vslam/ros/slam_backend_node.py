@@ -68,6 +68,7 @@ class SlamBackendNode(VehicleNode):
         super().__init__("slam_backend")
         self._checkpoint = checkpoint_file(state_folder(), self.vehicle)
         self._saved_ns: int | None = None
+        self._given: tuple[NavEstimate, str] | None = None  # the newest start state received, and its frame
         self._clocked = ClockedStage(self._resumed() or self._fresh(), self.config, self._next_session)
         self._status = BackendStatus(self)
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
@@ -140,8 +141,16 @@ class SlamBackendNode(VehicleNode):
         self._stage.configure(config)
 
     def _on_initial_state(self, message: NavigationState) -> None:
-        self._clocked.start(navigation_from_msg(message))
+        given = navigation_from_msg(message)
+        self._given = given, message.child_frame_id
+        self._clocked.start(given)
         self._work()
+
+    def _foreign_start(self) -> str:
+        """Return why the start state that the first frame would use is not one of the body; empty if it is."""
+        given, frame = self._given or (None, "")
+        is_next = given is not None and self._stage.initial is given and self._stage.nav is None
+        return self._rig.conflict(frame) if is_next else ""
 
     def _on_increment(self, message: InsIncrement) -> None:
         self._follow(self._clocked.add_increment(increment_from_msg(message)))
@@ -161,7 +170,9 @@ class SlamBackendNode(VehicleNode):
         self._stage.rig = self._rig.rig or self._stage.rig  # that of a checkpoint until the cameras publish again
         if self._stage.initial is not None:
             self.alarms.pop("start", None)
-        for output in self._stage.run():
+        foreign = self._foreign_start()
+        self.report_alarm("start_frame", f"no start: initial_state {foreign}" if foreign else "", logged=True)
+        for output in () if foreign else self._stage.run():
             self._publish(output)
             self._save(output.report.pose.stamp_ns)
         for reason, count in self._clocked.dropped.items():
