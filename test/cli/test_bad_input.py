@@ -228,6 +228,12 @@ def test_a_link_that_there_is_not_or_that_is_impossible_is_told(
     (tmp_path / "link.yaml").write_text("/**: {ros__parameters: {link: {loss: 2.0}}}\n")
     line = refused(capsys, verb, fleet, "--link", tmp_path / "link.yaml")
     assert f"{tmp_path / 'link.yaml'}: link.loss = 2.0 is not allowed" in line
+    assert "connects vehicles, and " in refused(capsys, verb, fleet, "--link", "clean")
+
+
+def test_a_rate_without_recordings_to_replay_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fleet = fleet_file(tmp_path, "vehicles: {uav1: {}}\n")
+    assert f"{fleet} names no recordings to replay" in refused(capsys, "launch", fleet, "--rate", "1")
 
 
 FLEETS = {

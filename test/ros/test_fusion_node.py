@@ -231,6 +231,16 @@ def test_a_wrong_parameter_ends_the_node_at_its_start(domain_id: int, parameter:
         rclpy.try_shutdown()
 
 
+@pytest.mark.parametrize(
+    ("peers", "said"), [("[uav1, uav2, uav3]", "uav2, uav3\n"), ("[uav1]", "none (the parameter peers names them)\n")]
+)
+def test_the_log_says_with_whom_a_vehicle_cooperates(
+    fly: Callable[..., Flight], capfd: pytest.CaptureFixture[str], peers: str, said: str
+) -> None:
+    fly(peers=peers)
+    assert f"communication mode: wideband, peers: {said}" in capfd.readouterr().err
+
+
 def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., Flight]) -> None:
     flight = fly()
     for second in (1, 2, 3):

@@ -422,6 +422,11 @@ def test_an_image_that_can_not_be_read_is_an_alarm_that_says_why(domain_id):
         assert "the right image could not be read" in node.alarms["image"]
         assert f"a step of 0; its step must be at least {WIDTH} bytes" in node.alarms["image"]
         assert node.counts["dropped/image"] == 1
+        left.step, left.header.stamp.sec = 0, left.header.stamp.sec + 1
+        right.header = left.header
+        deliver(node, "left/image_raw", left)
+        deliver(node, "right/image_raw", right)
+        assert node.alarms["image"].count("a step of 0") == 1  # though it is of both
 
 
 def test_images_of_another_size_than_their_calibration_are_an_alarm_while_they_come(domain_id):

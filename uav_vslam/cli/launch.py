@@ -97,16 +97,19 @@ def read_fleet(
     """Read a fleet file; the arguments override its values, and recordings are checked for the vehicles to start.
 
     Raises:
-        ConfigError: the file or a value is wrong.
+        ConfigError: the file or a value is wrong, or there is nothing to replay at a rate.
         BagError: there is no such recording, or it lacks what a vehicle needs.
         CalibrationError: a recorded calibration contradicts itself or the images.
     """
     from uav_vslam.config import load_fleet
+    from uav_vslam.errors import ConfigError
 
     fleet = load_fleet(path).changed(bags=bags, rate=rate, mode=mode)
     here = fleet.chosen(vehicles)
     if fleet.replay.bags:
         _check_recordings(fleet.replay.bags, here)
+    elif rate is not None:
+        raise ConfigError(f"{path} names no recordings to replay at a rate; leave out --rate, or give --bag")
     return fleet
 
 

@@ -75,6 +75,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.config import load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
+    from uav_vslam.errors import ConfigError
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.fleet import never_together
@@ -85,6 +86,8 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
 
     bags, configs = _configured(args)
     links = partial(link_between, load_link(args.link)) if args.link else None
+    if links is not None and len(configs) < 2:
+        raise ConfigError(f"--link connects vehicles, and only {', '.join(configs)} flies; leave it out")
     flights = open_flights(bags, configs)
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}
     for flight in flights.values():

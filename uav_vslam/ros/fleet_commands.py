@@ -67,9 +67,11 @@ def node_specs(
         maps: folder in which each vehicle's mapper makes its own; empty for no mappers.
 
     Raises:
-        ConfigError: a vehicle is not in the fleet, or a link is to be emulated between computers.
+        ConfigError: a vehicle is not in the fleet, or a link is to be emulated between computers or for one vehicle.
     """
     here = fleet.chosen(vehicles)
+    if link is not None and len(fleet.vehicles) < 2:
+        raise ConfigError("an emulated link connects vehicles, and the fleet has but one; leave out the link")
     if vehicles and link is not None:
         raise ConfigError("an emulated link needs all vehicles on one computer; leave out the vehicles or the link")
     sim_time = bool(fleet.replay.bags) if use_sim_time is None else use_sim_time

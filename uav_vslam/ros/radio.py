@@ -99,7 +99,8 @@ class Radio:
         self._receiver = receiver
         self._close()
         self._node.notes["mode"] = mode
-        self._node.get_logger().info(f"communication mode: {mode}")
+        peers = ", ".join(self._peers) or "none (the parameter peers names them)"
+        self._node.get_logger().info(f"communication mode: {mode}, peers: {peers}")
         if mode not in RADIO:
             return
         events = PublisherEventCallbacks(**self._counters("deadline", "liveliness", "incompatible_qos"))

@@ -156,7 +156,7 @@ class StereoFrontendNode(VehicleNode):
             features = frontend.process(frame)
         except InvalidMessage as error:
             reasons = [why for side, why in self._unreadable.items() if getattr(frame, side).size == 0]
-            text = "; ".join([str(error), *reasons])
+            text = "; ".join(dict.fromkeys([str(error), *reasons]))  # both cameras may have the same fault
             self.drop(error.reason, text)
             self.alarms = frontend.alarms | {error.reason: text}
             return Features.empty(frame.stamp_ns)
