@@ -219,10 +219,15 @@ def test_an_epoch_that_fails_leaves_the_vehicle_its_pose(
     [
         ("fusion.mode:=radio", "mode = 'radio' is not allowed; use one of wideband, narrowband, none"),
         ("radio_domain_id:={own}", "radio_domain_id = {own} is the vehicle's own ROS domain"),
+        ("radio_peers:=['10.0.0.1']", "set radio_domain_id as well"),
+        ("radio_domain_id:={other} radio_peers:=['no.address']", "resolve peer no.address; use addresses, like"),
     ],
 )
-def test_a_wrong_parameter_ends_the_node_at_its_start(domain_id: int, parameter: str, message: str) -> None:
-    given = ["--ros-args", "-r", "__ns:=/uav1", "-p", parameter.format(own=domain_id)]
+def test_a_wrong_parameter_ends_the_node_at_its_start(
+    domain_id: int, make_domain_id: Callable[[], int], parameter: str, message: str
+) -> None:
+    words = parameter.format(own=domain_id, other=make_domain_id()).split()
+    given = ["--ros-args", "-r", "__ns:=/uav1", *(part for word in words for part in ("-p", word))]
     rclpy.init(args=given, domain_id=domain_id)
     try:
         with pytest.raises(ConfigError, match=message.format(own=domain_id)):
@@ -534,6 +539,10 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         assert flight.spin(lambda: executor.spin_once(timeout_sec=0.02) or flight.received)
         flight.listen("wideband", node=peer)
         assert flight.spin(lambda: flight.node._exchange._transport.copies == 2)
+        assert "/uav2/landmark_information (no publisher)" in flight.node._awaited()
+        peer.create_publisher(LandmarkInformation, "/uav2/landmark_information", RADIO["wideband"])
+        said = "/uav2/landmark_information (published, but no message yet)"
+        assert flight.spin(lambda: said in flight.node._awaited())
         size = len(serialize_message(flight.received[0]))
         assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
         carried = {PACKETS, "/uav1/fusion/feedback", "/uav2/fusion/feedback", "/uav2/landmark_information"}

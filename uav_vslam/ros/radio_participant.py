@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import get_default_context
@@ -37,13 +38,21 @@ def open_participant(name: str, args: list[str] | None) -> "Participant | None":
     """
     own, namespace = _parameters(name, args)
     if own.radio_domain_id < 0:
+        if own.radio_peers:
+            raise ConfigError("radio_peers are addresses on the radio's ROS domain; set radio_domain_id as well")
         return None
     if own.radio_domain_id == get_default_context().get_domain_id():  # its first port may be another node's
         raise ConfigError(
             f"radio_domain_id = {own.radio_domain_id} is the vehicle's own ROS domain (ROS_DOMAIN_ID, --domain); "
             "the radio needs another, the same on all computers"
         )
-    return Participant(namespace, own.radio_domain_id, own.radio_peers)
+    try:
+        return Participant(namespace, own.radio_domain_id, own.radio_peers)
+    except rclpy_implementation.RCLError as error:
+        if "resolve peer" not in str(error):
+            raise
+        text = str(error).partition("\n")[0]
+        raise ConfigError(f"radio_peers = {list(own.radio_peers)}: {text}; use addresses, like 10.77.0.2") from None
 
 
 def _parameters(name: str, args: list[str] | None) -> tuple[FusionNodeConfig, str]:

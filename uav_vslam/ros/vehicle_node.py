@@ -258,12 +258,18 @@ class VehicleNode(PausableNode):
         if refused:
             self.counts[f"{DROPPED}several_publishers"] = refused
 
+    def _awaited(self) -> list[str]:
+        """Return the topics of which nothing has come, each with what is known of its publishers."""
+        awaited, lacking = [], unmatched(self._inputs)
+        for topic in silent(self._inputs):
+            resolved = self.resolve_topic_name(topic)
+            published = "no publisher" if resolved in lacking else "published, but no message yet"
+            awaited.append(f"{resolved} ({mismatch(self._inputs, topic, self) or published})")
+        return awaited
+
     def _report_missing(self) -> None:
         waiting = [NO_CLOCK] if self._startup.lacks_clock() else []
-        for topic in () if self._startup.lasts() else silent(self._inputs):
-            resolved = self.resolve_topic_name(topic)
-            published = "published, but no message yet" if self.count_publishers(resolved) else "no publisher"
-            waiting.append(f"{resolved} ({mismatch(self._inputs, topic, self) or published})")
+        waiting += [] if self._startup.lasts() else self._awaited()
         if waiting:  # one line for all: the throttle counts lines of code, not texts
             self.get_logger().warning(f"waiting for {', '.join(waiting)}", throttle_duration_sec=20.0)
         pauses = stopped(self._inputs, time.monotonic())
