@@ -310,6 +310,13 @@ def test_separately_recorded_static_transforms_are_all_kept(bags: list[Path], tm
     assert [raw.topic for raw in parts].count("/tf_static") == 2
 
 
+def test_a_recording_without_images_is_refused(bags: list[Path], tmp_path: Path) -> None:
+    """As the recorder's bags are, of which a replay would end at once with exit code 0."""
+    outputs = rewritten(bags[0], tmp_path / "outputs", lambda raw: [] if "image_raw" in raw.topic else [raw.data])
+    with pytest.raises(BagError, match="outputs: no <vehicle>/left/image_raw to replay"):
+        Recording([outputs])
+
+
 def test_a_recording_with_too_few_camera_infos_is_refused(bags: list[Path], tmp_path: Path) -> None:
     seen: list[RawMessage] = []
 

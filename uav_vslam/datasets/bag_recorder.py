@@ -73,7 +73,8 @@ class RawRecorder:
         except OSError as error:
             raise BagError(f"can't record to {path}: {error.strerror}; choose another place") from None
         except (WriterError, sqlite3.OperationalError) as error:
-            raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None
+            text = str(error).rstrip(".")
+            raise BagError(f"can't record to {path}: {text}; choose a folder that does not exist yet") from None
 
     def write(
         self, topic: str, msgtype: str, data: bytes | memoryview, stamp_ns: int, *, latched: bool = False

@@ -15,7 +15,7 @@ from uav_vslam.datasets.cdr import RawMessage, decode, encode
 from uav_vslam.datasets.frame_tree import TF, TF_STATIC
 from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, iter_readable, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, iter_readable, names_of, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.united_imu import united
 from uav_vslam.errors import BagError
@@ -69,6 +69,9 @@ class Recording:
         self._finding_start = frozenset(finding_start)
         inputs = dict(inputs or {})
         self.vehicles = tuple(vehicles) or tuple(inputs) or tuple(vehicles_of(paths))
+        if not self.vehicles:
+            none = "no <vehicle>/left/image_raw to replay; name other topics by the parameter inputs"
+            raise BagError(f"{names_of(paths)}: {none}")
         self._setups = {name: SensorSetup.of(name, inputs.get(name, InputConfig())) for name in self.vehicles}
         self._gyro_topics = {  # by the accelerometer's, whose readings the gyroscope's messages get
             accel: gyro
