@@ -1,15 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever is asked of the parameter services, over DDS, is answered, and the node goes on."""
 
+from array import array
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue, SetParametersResult  # noqa: E402
-from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically  # noqa: E402
+from rcl_interfaces.srv import (  # noqa: E402
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import parameter_value_to_python  # noqa: E402
 
+from uav_vslam.config import VehicleConfig  # noqa: E402
+from uav_vslam.ros.params import read  # noqa: E402
 from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -76,6 +87,25 @@ def test_a_type_that_does_not_exist_is_refused(operator: Operator) -> None:
     assert "there is no type 42" in strange.reason
     assert right.successful
     assert operator.value() == 2.0
+
+
+def test_all_parameters_are_read_at_once_and_start_another_node(operator: Operator, tmp_path: Path) -> None:
+    """As `ros2 param dump` does, and a parameter file with what it has written."""
+    names = operator.call(ListParameters, "list_parameters").result.names
+    values = operator.call(GetParameters, "get_parameters", names=names).values
+    assert "input.calibration" in names  # which is empty
+    dumped = {name: parameter_value_to_python(value) for name, value in zip(names, values, strict=True)}
+    file = tmp_path / "dumped.yaml"
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {k: _plain(v) for k, v in dumped.items()}}}))
+    again = rclpy.create_node("again", cli_args=["--ros-args", "--params-file", str(file)])
+    try:
+        assert read(again, VehicleConfig) == operator.front.config
+    finally:
+        again.destroy_node()
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, array) else value
 
 
 def test_of_parameters_that_are_set_together_all_are_set_or_none(operator: Operator) -> None:

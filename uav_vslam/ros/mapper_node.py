@@ -8,7 +8,7 @@ in   left/image_raw, or left/image_raw/compressed    sensor_msgs/Image, Compress
                                                      each one found is the origin of a map of its own
 out  map/surface                                     sensor_msgs/PointCloud2, latched, map frame: cells' centres, rgb
      map/mesh                                        visualization_msgs/Marker, latched, map frame: triangles
- srv ~/save_map                                      std_srvs/Trigger: the map so far, into the folder map.folder
+srv  ~/save_map                                      std_srvs/Trigger: the map so far, into the folder map.folder
 """
 
 import itertools

@@ -50,7 +50,7 @@ def read(node: Node, cls: type[Config]) -> Config:
     """
     where = f"parameters of {node.get_fully_qualified_name()}"
     # rclpy hands them out one by one only, by known names
-    every = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+    every = {name: _given(parameter) for name, parameter in node._parameter_overrides.items()}
     _check_qos(every, where)
     given = {name: value for name, value in every.items() if not name.startswith(OF_ROS)}
     check_names(given, VehicleConfig, *(parameters.own for parameters in NODES.values()), where=where)
@@ -74,10 +74,18 @@ def declare(node: Node, config: Settings, names: typing.Iterable[str] | None = N
     settings, values = all_settings(type(config)), flatten(config)
     for name in settings if names is None else names:
         value = plain(values[name])
-        if value == []:  # has no type, so the parameter is declared by type and has no value
-            texts = settings[name].kind != tuple[float, ...]
-            value = Parameter.Type.STRING_ARRAY if texts else Parameter.Type.DOUBLE_ARRAY
-        node.declare_parameter(name, value, _descriptor(settings[name]), ignore_override=True)
+        if value != []:
+            node.declare_parameter(name, value, _descriptor(settings[name]), ignore_override=True)
+            continue
+        # rclpy finds no type in an empty list, and of all that are asked for answers none if one has no value
+        kind = Parameter.Type.DOUBLE_ARRAY if settings[name].kind == tuple[float, ...] else Parameter.Type.STRING_ARRAY
+        node.declare_parameter(name, kind, _descriptor(settings[name]), ignore_override=True)
+        node._parameters[name] = Parameter(name, kind, value)
+
+
+def _given(parameter: Parameter) -> object:
+    """Return a value that was set at the start; an empty list, for which ROS has no type, comes without one."""
+    return [] if parameter.type_ == Parameter.Type.NOT_SET else parameter.value
 
 
 class VehicleParameters:
