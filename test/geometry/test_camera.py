@@ -62,36 +62,6 @@ def test_distortion_equals_opencv() -> None:
     np.testing.assert_allclose(EUROC.distort(EUROC.project(points)), expected[:, 0], rtol=0, atol=ROUNDING_PX)
 
 
-FISHEYE = PinholeCamera(
-    512, 512, 191.0, 191.0, 254.9, 256.9, np.array([0.0035, 0.0007, -0.0021, 0.0002]), "equidistant"
-)
-RATIONAL = PinholeCamera(
-    640,
-    480,
-    380.0,
-    379.0,
-    319.0,
-    238.0,
-    np.array([0.6, -0.3, 1e-4, 2e-4, 0.02, 0.9, -0.2, 0.03]),
-    "rational_polynomial",
-)
-
-
-@pytest.mark.parametrize("camera", [EUROC, FISHEYE, RATIONAL], ids=["radial", "fisheye", "rational"])
-def test_errors_grow_where_the_lens_is_undistorted(camera: PinholeCamera) -> None:
-    rng, sigma_px = np.random.default_rng(3), 1e-3
-    raw = camera.centre + np.array([[0.0, 0.0], [0.3, 0.1], [-0.4, 0.0], [0.3, -0.45]]) * camera.size
-    errors = camera.undistort(raw + rng.normal(0.0, sigma_px, (4000, 4, 2))) - camera.undistort(raw)
-    rms = np.sqrt(np.mean(errors**2, axis=(0, 2)))
-    np.testing.assert_allclose(camera.magnification(camera.undistort(raw)) * sigma_px, rms, rtol=0.03)
-
-
-def test_errors_keep_their_size_without_distortion_and_are_bounded_where_nothing_is_imaged() -> None:
-    np.testing.assert_array_equal(CAMERA.magnification(np.zeros((3, 2))), np.ones(3))
-    folded = dataclasses.replace(CAMERA, distortion=np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))
-    np.testing.assert_array_equal(folded.magnification([[5e3, 400.0], [-9e3, 0.0]]), MOST_MAGNIFIED)
-
-
 def test_zero_distortion_returns_an_equal_copy() -> None:
     pixels = np.array([[3.0, 4.0], [900.0, 800.0]])
     ideal = CAMERA.undistort(pixels)
@@ -166,6 +136,21 @@ def test_opencv_inverts_the_lens_wherever_a_pinhole_can_stand_for_it(camera: Pin
     angle = np.linalg.norm((grid - [camera.cx, camera.cy]) / camera.fx, axis=-1)  # about, in both models
     assert found[angle < 1.3].all()
     assert not found[angle > 1.5].any()
+
+
+@pytest.mark.parametrize("camera", [EUROC, FISHEYE, RATIONAL], ids=["radial", "fisheye", "rational"])
+def test_errors_grow_where_the_lens_is_undistorted(camera: PinholeCamera) -> None:
+    rng, sigma_px = np.random.default_rng(3), 1e-3
+    raw = camera.centre + np.array([[0.0, 0.0], [0.3, 0.1], [-0.4, 0.0], [0.3, -0.45]]) * camera.size
+    errors = camera.undistort(raw + rng.normal(0.0, sigma_px, (4000, 4, 2))) - camera.undistort(raw)
+    rms = np.sqrt(np.mean(errors**2, axis=(0, 2)))
+    np.testing.assert_allclose(camera.magnification(camera.undistort(raw)) * sigma_px, rms, rtol=0.03)
+
+
+def test_errors_keep_their_size_without_distortion_and_are_bounded_where_nothing_is_imaged() -> None:
+    np.testing.assert_array_equal(CAMERA.magnification(np.zeros((3, 2))), np.ones(3))
+    folded = dataclasses.replace(CAMERA, distortion=np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))
+    np.testing.assert_array_equal(folded.magnification([[5e3, 400.0], [-9e3, 0.0]]), MOST_MAGNIFIED)
 
 
 def test_a_model_that_nobody_knows_is_refused_with_those_we_do() -> None:
