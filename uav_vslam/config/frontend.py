@@ -64,7 +64,7 @@ class FrontendConfig(Settings):
     )
     epipolar_px: float = setting(
         2.0,
-        "largest distance to the epipolar line, full-resolution pixels; wider if rig.flexing",
+        "largest distance to the epipolar line, full-resolution raw pixels; wider if rig.flexing",
         unit="px",
         above=0,
         live=True,

@@ -151,8 +151,8 @@ class PinholeCamera:
         ideal = np.asarray(pixels, dtype=float)
         if not self._distorts:
             return np.ones(ideal.shape[:-1])
-        ahead, behind = (self.distort(ideal[..., None, :] + half) for half in (0.5 * np.eye(2), -0.5 * np.eye(2)))
-        (a, b), (c, d) = np.moveaxis(ahead - behind, (-2, -1), (0, 1))
+        ends = self.distort(ideal[..., None, :] + [[0.5, 0.0], [0.0, 0.5], [-0.5, 0.0], [0.0, -0.5]])
+        (a, b), (c, d) = np.moveaxis(ends[..., :2, :] - ends[..., 2:, :], (-2, -1), (0, 1))
         norm, J_det = np.sqrt(0.5 * (a * a + b * b + c * c + d * d)), a * d - b * c
         imaged = (J_det * MOST_MAGNIFIED > norm) & (a + d > 0)
         return np.where(imaged, norm / np.where(imaged, J_det, 1.0), MOST_MAGNIFIED)

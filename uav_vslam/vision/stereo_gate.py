@@ -23,7 +23,7 @@ class StereoGate:
     """Gate for stereo matches from any matcher.
 
     Attributes:
-        epipolar_px: largest distance of the right point from the left point's epipolar line [px].
+        epipolar_px: largest distance of the right point from the left point's epipolar line [raw px].
     """
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig, *, noise_px: float) -> None:
