@@ -134,6 +134,9 @@ def test_a_node_that_loads_a_map_starts_in_it_and_saves_the_offline_twin_s_map(
     node.fly(ground.frames)
     nowhere = node.call("save_map", tmp_path / "nowhere" / "map.npz")
     assert (nowhere.success, "can't be written" in nowhere.message) == (False, True)
+    over = node.call("save_map", ground.file)
+    assert (over.success, "map that was loaded" in over.message) == (False, True)
+    assert load_map(ground.file).hash in loaded.message
     assert node.backend.notes["start"] == "found in flight"
     saved = node.call("save_map", tmp_path / "uav2_map.npz")
     assert saved.success, saved.message

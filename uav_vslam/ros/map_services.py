@@ -4,8 +4,9 @@
 ~/save_map    std_srvs/Trigger: all landmarks mapped until the last epoch, into the file of the parameter map_file
 ~/load_map    std_srvs/Trigger: the map of that file, for a vehicle that waits to start in one (start.method map)
 
-Neither takes a map without landmarks. Whatever goes wrong is in the response, and the node goes on. So it does while a
-map is saved: the covariances of half an hour's map take a minute or two to bound.
+Neither takes a map without landmarks, and a map that was loaded is not written over. Whatever goes wrong is in the
+response, and the node goes on. So it does while a map is saved: the covariances of half an hour's map take a minute or
+two to bound.
 """
 
 import threading
@@ -18,7 +19,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from uav_vslam.errors import MapError
-from uav_vslam.slam.saved_map import Mapped, load_map, save_map
+from uav_vslam.slam.saved_map import Mapped, SavedMap, load_map, save_map
 from uav_vslam.slam.stage import SlamStage
 
 
@@ -27,7 +28,8 @@ def offer_map_services(node: Node, stage: Callable[[], SlamStage]) -> None:
 
     async def save() -> str:
         job, path = Future[str](), _map_file(node)
-        threading.Thread(target=_save, args=(job, stage().mapped(), path), daemon=True).start()
+        args = job, stage().mapped(), path, stage().loaded_map
+        threading.Thread(target=_save, args=args, daemon=True).start()
         while not job.done():
             await _NextTurn()
         return job.result()
@@ -49,9 +51,11 @@ class _NextTurn:
         yield
 
 
-def _save(job: Future[str], mapped: Mapped, path: str) -> None:
+def _save(job: Future[str], mapped: Mapped, path: str, loaded: SavedMap | None) -> None:
     """Save a map; the job's result is the service's answer."""
     try:
+        if loaded is not None and _hash_of(path) == loaded.hash:
+            raise MapError(f"{path} is the map that was loaded, which a save would replace; give map_file another name")
         saved = mapped.saved_map()
         if not len(saved):
             raise MapError(f"no landmark is mapped so far, and {path} is not written; save in flight, before a reset")
@@ -59,6 +63,14 @@ def _save(job: Future[str], mapped: Mapped, path: str) -> None:
         job.set_result(f"{path}: map {saved.hash}, {len(saved)} landmarks in {size / 1e3:.0f} kB")
     except Exception as error:  # of whatever kind, it is raised where the job is waited for
         job.set_exception(error)
+
+
+def _hash_of(path: str) -> str | None:
+    """Return the hash of the map in a file; None if there is no map."""
+    try:
+        return load_map(path).hash
+    except MapError:
+        return None
 
 
 def _map_file(node: Node) -> str:

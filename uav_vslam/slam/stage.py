@@ -170,6 +170,11 @@ class SlamStage:
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
+    @property
+    def loaded_map(self) -> SavedMap | None:
+        """The map that was loaded; None if none was."""
+        return self._map
+
     def mapped(self) -> Mapped:
         """Return all landmarks mapped until the last epoch; none without `keep_map`."""
         if self._flight is None or self._flight.archive is None:
