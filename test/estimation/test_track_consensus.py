@@ -2,6 +2,7 @@
 """Tracks of an uncertain vehicle: which of them contradict the others."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.stats import chi2
 
 from uav_vslam.config import RigConfig
 from uav_vslam.estimation.rig_errors import RigErrors
-from uav_vslam.estimation.track_consensus import LEAST_ASKED, WIDE, trusted
+from uav_vslam.estimation.track_consensus import FAR_WIDE, LEAST_ASKED, WIDE, trusted
 from uav_vslam.estimation.tracks import TrackObservation, Tracks, observe_tracks
 from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import POSE_DIM
@@ -92,5 +93,17 @@ def test_where_the_gate_is_wide_a_track_must_agree_with_the_others(seen: TrackOb
 def test_without_a_majority_the_gate_alone_decides(seen: TrackObservation) -> None:
     P, alone = covariance(seen, 1.0), of(seen, slice(0, 1))
     opposite = dataclasses.replace(alone, residual=-alone.residual)
-    same = alone.joined(alone).joined(alone)
-    assert trusted(same, lambda: opposite.joined(opposite).joined(opposite), P, PROBABILITY).all()
+    same, against = (functools.reduce(TrackObservation.joined, [one] * LEAST_ASKED) for one in (alone, opposite))
+    assert trusted(same, lambda: against, P, PROBABILITY).all()
+
+
+def test_where_no_linearisation_holds_a_few_tracks_wait_though_they_agree_with_the_others(
+    seen: TrackObservation,
+) -> None:
+    good = of(seen, slice(SLIDING + 1, None))
+    few, others = of(good, slice(LEAST_ASKED - 1)), of(good, slice(LEAST_ASKED - 1, None))
+    added = np.median(few.gated(covariance(seen, 1.0), PROBABILITY)[1])
+    for share, used in ((0.9, True), (1.1, False)):
+        P = covariance(seen, np.sqrt(share * FAR_WIDE / added))
+        assert trusted(few, lambda: others, P, PROBABILITY).any() == used
+        assert trusted(good, None, P, PROBABILITY).mean() > 0.9

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 WIDE = 25.0  # variance added by the state to a track's residuals, over that of their noise; commonly below 12
+# The same where hardly a linearisation holds, as at a start in flight, by metres a second. A few tracks that end first
+# would lead off by their noise, though they agree with all others, and those could not be linearised well from there.
+FAR_WIDE = 2e4
 LEAST_ASKED = 5  # tracks: fewer prove nothing in a wide gate
 ROUNDS = 5  # at most: each leaves out what contradicts the tracks kept by the one before
 
@@ -40,7 +43,8 @@ def trusted(
     if others is not None:
         more = others()
         everyone, possible = seen.joined(more), np.append(passed, more.gated(P, probability)[0])
-    if possible.sum() < LEAST_ASKED:
+    alone = np.median(added) > FAR_WIDE and passed.sum() < LEAST_ASKED
+    if alone or possible.sum() < LEAST_ASKED:
         return np.zeros_like(passed)
     kept = possible
     for _ in range(ROUNDS):

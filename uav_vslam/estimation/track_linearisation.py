@@ -4,7 +4,8 @@
 After a long time without an image the velocity may be off by metres a second. Over low ground, the first tracks then
 move the mean by a multiple of what a linearisation about it holds for: views that are exact to a hundredth of a pixel
 make the state certain of what is off by ten sigma. So they are linearised again at the mean that they lead to, until
-their residuals there are those that the linearisation predicts, as in an iterated Kalman filter.
+their residuals there are those that the linearisation predicts, as in an iterated Kalman filter; a step that would
+leave larger residuals is shortened.
 
 Symbols: with the mean moved by delta, the error becomes e' = T (e - delta), and a residual r' = H' e' + noise is
 r' + H' T delta = H' T e + noise.
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 RELINEARISATIONS = 5  # at most
+SHORTER_STEPS = 4  # at most, each half as long as the one before
 NONLINEAR = 1.0  # by which the squared residuals, over their noise, may exceed those predicted
 
 
@@ -99,13 +101,21 @@ def relinearised(
     if np.vdot(said.Y, P) < WIDE * used.sum():
         return best, said
     cost = said.norm2
+    reached = np.zeros(len(P))
     for _ in range(RELINEARISATIONS):
-        weighted = np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i)
+        weighted: Array = np.asarray(np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i), np.float64)
         delta = P @ weighted
         predicted = said.norm2 - float(delta @ (2.0 * said.i - said.Y @ delta))
-        there = linearise(delta)
-        residual = there.squared_residual(used)
-        if residual - predicted < NONLINEAR or residual + float(delta @ weighted) > cost:
+        for _ in range(SHORTER_STEPS):
+            there = linearise(delta)
+            residual = there.squared_residual(used)
+            lower = residual + float(delta @ weighted) <= cost
+            if lower or residual - predicted < NONLINEAR:
+                break
+            weighted = 0.5 * (reached + weighted)
+            delta = P @ weighted
+        if not lower or residual - predicted < NONLINEAR:
             break
-        best, said, cost = there, there.of_vehicle(used), residual + float(delta @ weighted)
+        best, said, reached = there, there.of_vehicle(used), weighted
+        cost = residual + float(delta @ weighted)
     return best, said
