@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 RELINEARISATIONS = 5  # at most
-SHORTER_STEPS = 4  # at most, each half as long as the one before
+SHORTER_STEPS = 3  # at most, each half as long as the one before
 NONLINEAR = 1.0  # by which the squared residuals, over their noise, may exceed those predicted
 
 
@@ -100,22 +100,28 @@ def relinearised(
     best, said = first, first.of_vehicle(used)
     if np.vdot(said.Y, P) < WIDE * used.sum():
         return best, said
-    cost = said.norm2
-    reached = np.zeros(len(P))
+
+    def at(weighted: Array) -> tuple[LinearisedTracks, float, float]:
+        """Return the tracks where P times a vector leads, their squared residual, and that with the prior's."""
+        delta = P @ weighted
+        there = linearise(delta)
+        residual = there.squared_residual(used)
+        return there, residual, residual + float(delta @ weighted)
+
+    cost, reached = said.norm2, np.zeros(len(P))
     for _ in range(RELINEARISATIONS):
-        weighted: Array = np.asarray(np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i), np.float64)
+        weighted = np.asarray(np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i), np.float64)
         delta = P @ weighted
         predicted = said.norm2 - float(delta @ (2.0 * said.i - said.Y @ delta))
+        there, residual, total = at(weighted)
+        if residual - predicted < NONLINEAR:
+            break
         for _ in range(SHORTER_STEPS):
-            there = linearise(delta)
-            residual = there.squared_residual(used)
-            lower = residual + float(delta @ weighted) <= cost
-            if lower or residual - predicted < NONLINEAR:
+            if total <= cost:
                 break
             weighted = 0.5 * (reached + weighted)
-            delta = P @ weighted
-        if not lower or residual - predicted < NONLINEAR:
+            there, _, total = at(weighted)
+        if total > cost:
             break
-        best, said, reached = there, there.of_vehicle(used), weighted
-        cost = residual + float(delta @ weighted)
+        best, said, cost, reached = there, there.of_vehicle(used), total, weighted
     return best, said
