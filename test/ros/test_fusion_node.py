@@ -236,6 +236,32 @@ def test_a_wrong_parameter_ends_the_node_at_its_start(
         rclpy.try_shutdown()
 
 
+@pytest.mark.parametrize(("parameter", "name"), [("use_sim_time:=false", "fleet_drone"), ("vehicle:=uav1", "uav1")])
+def test_packets_are_sent_under_the_name_by_which_peers_know_a_vehicle(
+    domain_id: int, parameter: str, name: str
+) -> None:
+    given = ["--ros-args", "-r", "__ns:=/fleet/drone", "-p", "peers:=[uav2]", "-p", "fusion.feedback:=true"]
+    given += ["-p", parameter]
+    rclpy.init(args=given, domain_id=domain_id)
+    try:
+        node = FusionNode(given)
+        own = (node.get_name(), node.get_namespace())
+        sent = {topic for topic, _ in node.get_publisher_names_and_types_by_node(*own)}
+        heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*own)}
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    radio = ("landmark_information", "fusion/feedback")
+    assert {topic for topic in sent if topic.endswith(radio)} == {
+        f"/{name}/landmark_information",
+        "/uav2/fusion/feedback",
+    }
+    assert {topic for topic in heard if topic.endswith(radio)} == {
+        "/uav2/landmark_information",
+        f"/{name}/fusion/feedback",
+    }
+
+
 @pytest.mark.parametrize(
     ("peers", "said"), [("[uav1, uav2, uav3]", "uav2, uav3\n"), ("[uav1]", "none (the parameter peers names them)\n")]
 )

@@ -12,7 +12,9 @@ from uav_vslam.config.vehicle import VehicleConfig
 class VehicleNodeConfig(Settings):
     """Parameters of every node of a vehicle."""
 
-    vehicle: str = setting("", "name of the vehicle; empty: the node's namespace")
+    vehicle: str = setting(
+        "", "name by which peers know the vehicle; empty: its namespace, `/fleet/uav1` as fleet_uav1"
+    )
     parameter_services: bool = setting(
         True, "whether others on the domain can read and change parameters, such as the communication mode"
     )

@@ -4,8 +4,8 @@
 in   joint_information                     uav_vslam_msgs/JointInformation, own host only
      odometry                              nav_msgs/Odometry, own-only
      /<peer>/landmark_information          uav_vslam_msgs/LandmarkInformation, every peer's, over the radio
-     fusion/feedback                       the same type, peers' estimates of own landmarks (fusion.feedback)
-out  landmark_information                  uav_vslam_msgs/LandmarkInformation at epochs: all that leaves the vehicle
+     /<vehicle>/fusion/feedback            the same type, peers' estimates of own landmarks (fusion.feedback)
+out  /<vehicle>/landmark_information       uav_vslam_msgs/LandmarkInformation at epochs: all that leaves the vehicle
      /<peer>/fusion/feedback               ... except this (wideband, with fusion.feedback)
      fused/odometry                        nav_msgs/Odometry per frame, world frame
      fused/path, fused/landmarks           nav_msgs/Path, sensor_msgs/PointCloud2 at epochs, world frame

@@ -104,14 +104,16 @@ class Radio:
         if mode not in RADIO:
             return
         events = PublisherEventCallbacks(**self._counters("deadline", "liveliness", "incompatible_qos"))
-        self._publisher = self._advertise("landmark_information", mode, event_callbacks=events)
+        self._publisher = self._advertise(packets_of(self._node.vehicle), mode, event_callbacks=events)
         for peer in self._peers:
             on_packet = partial(receiver.on_packet, peer)
             self._inputs.append(self._listen(peer, packets_of(peer), on_packet, RADIO[mode]))
             self._node.watch(self._inputs[-1])
         if settings.returns_feedback:
             self._returns = {peer: self._advertise(feedback_to(peer), mode) for peer in self._peers}
-            self._inputs.append(self._listen("feedback", "fusion/feedback", receiver.on_feedback, RADIO[mode]))
+            self._inputs.append(
+                self._listen("feedback", feedback_to(self._node.vehicle), receiver.on_feedback, RADIO[mode])
+            )
 
     @property
     def copies(self) -> int:
