@@ -122,6 +122,29 @@ def test_epipolar_distance_is_in_pixels() -> None:
     np.testing.assert_allclose(rig.epipolar_distance(moved), 3.0, rtol=1e-3)
 
 
+@pytest.fixture(params=["pinhole", "fisheye"])
+def lens(request: pytest.FixtureRequest) -> StereoRig:
+    """Return a rig with 55 degrees to either side, with or without a fisheye's distortion."""
+    model = {} if request.param == "pinhole" else {"distortion": np.zeros(4), "model": "equidistant"}
+    rig = RIGS["kagaru"]
+    left, right = (dataclasses.replace(camera, fx=450.0, fy=450.0, **model) for camera in (rig.left, rig.right))
+    return dataclasses.replace(rig, left=left, right=right)
+
+
+def test_epipolar_distances_due_to_noise_are_as_large_all_over_the_image(lens: StereoRig) -> None:
+    points = scattered_points(lens, 20000, far_m=150.0)
+    z = lens.project(points)
+    raw = np.hstack([lens.left.distort(z[:, :2]), lens.right.distort(z[:, 2:])])
+    raw += np.random.default_rng(1).normal(0.0, 0.2, raw.shape)
+    noisy = np.hstack([lens.left.undistort(raw[:, :2]), lens.right.undistort(raw[:, 2:])])
+    distances = lens.epipolar_distance(noisy)
+    far_out = np.linalg.norm(z[:, :2] - lens.left.centre, axis=1) > 1.2 * lens.left.fx  # 50 degrees
+    assert far_out.sum() > 300
+    both_px = 0.2 * np.sqrt(2.0)
+    assert np.median(distances[far_out]) == pytest.approx(np.median(distances[~far_out]), rel=0.25)
+    assert np.sqrt(np.mean(distances**2)) == pytest.approx(both_px, rel=0.1)
+
+
 def test_right_left_transform_follows_from_the_extrinsics(rig: StereoRig) -> None:
     point = np.array([0.3, -0.2, 4.0])
     body = rig.T_body_left.apply(point)

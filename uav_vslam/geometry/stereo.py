@@ -143,7 +143,10 @@ class StereoRig:
         return points
 
     def epipolar_distance(self, pixels: ArrayLike) -> Array:
-        """Return (N,) distances [px] of right pixels from the epipolar lines of the left ones, for (N, 4) pixels."""
+        """Return (N,) distances [raw px] of right pixels from the epipolar lines of the left ones, for (N, 4) pixels.
+
+        Undistorted distances are divided by the `magnification`, so that noise is as large all over the image.
+        """
         return np.abs(self.epipolar_offset(pixels))
 
     def epipolar_offset(self, pixels: ArrayLike) -> Array:
@@ -151,6 +154,5 @@ class StereoRig:
         z = np.asarray(pixels, dtype=float).reshape(-1, 4)
         ones = np.ones((len(z), 1))
         lines = np.hstack([z[:, :2], ones]) @ self.fundamental.T
-        return np.asarray(
-            np.einsum("ni,ni->n", np.hstack([z[:, 2:], ones]), lines) / np.linalg.norm(lines[:, :2], axis=1)
-        )
+        off = np.einsum("ni,ni->n", np.hstack([z[:, 2:], ones]), lines) / np.linalg.norm(lines[:, :2], axis=1)
+        return np.asarray(off / self.magnification(z))

@@ -55,7 +55,6 @@ class TrackNoise:
             return
         raw_per_px = 1.0 / rig.magnification(pixels)
         smooth = _smooth_terms(pixels[:, :2] / (rig.left.width, rig.left.height)) * raw_per_px[:, None]
-        off = off * raw_per_px
         off = off - smooth @ np.linalg.lstsq(smooth, off, rcond=None)[0]
         freedom = 1.0 - smooth.shape[1] / len(off)
         variance = robust_sigma(off) ** 2 / freedom

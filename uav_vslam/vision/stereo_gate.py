@@ -52,7 +52,7 @@ class StereoGate:
         depth = self._rig.triangulate(pixels)[:, 2]
         focal_baseline = self._rig.left.fx * self._rig.baseline_m
         least_px = focal_baseline / self._config.max_depth_m - 0.5 * self._noise_px
-        good = self._rig.epipolar_distance(pixels) <= self.epipolar_px * self._rig.magnification(pixels)
+        good = self._rig.epipolar_distance(pixels) <= self.epipolar_px
         good &= (depth >= self._config.min_depth_m) & (focal_baseline >= least_px * depth)  # NaN compares as False
         disparity = focal_baseline / depth[good]
         good[good] = supported_disparities(pixels[good, :2], disparity, noise_px=self._noise_px)
@@ -78,7 +78,8 @@ def stereo_candidates(
     Args:
         left, right: (Na, 2), (Nb, 2) undistorted pixels.
         rig: calibration.
-        epipolar_px: largest distance of the right point from the left point's epipolar line [px].
+        epipolar_px: largest distance of the right point from the left point's epipolar line [undistorted px]. Near the
+            edge of a wide lens that is stricter than the gate's raw ones: descriptors are mistaken more often there.
         depth_range_m: smallest and largest depth in the left camera [m].
 
     Returns:
@@ -94,7 +95,7 @@ def stereo_candidates(
 
 
 def epipolar_distances(left: Array, right: Array, rig: StereoRig) -> Array:
-    """Return (Na, Nb) distances [px] of all right pixels from the epipolar lines of all left pixels."""
+    """Return (Na, Nb) distances [undistorted px] of all right pixels from the epipolar lines of all left pixels."""
     lines = np.hstack([left, np.ones((len(left), 1))]) @ rig.fundamental.T
     norm = np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
     lines = lines / np.where(norm > 0, norm, 1.0)
