@@ -90,6 +90,19 @@ def test_where_the_gate_is_wide_a_track_must_agree_with_the_others(seen: TrackOb
     assert among_all[SLIDING + 1 :].mean() > 0.9
 
 
+def test_the_gate_is_as_wide_as_for_those_that_pass(seen: TrackObservation) -> None:
+    """Tracks that the state hardly moves don't make up for a few wrong ones that pass because it moves them far."""
+    P, few = covariance(seen, 1.0), of(seen, slice(1, LEAST_ASKED))
+    firm = of(seen, slice(LEAST_ASKED, 3 * LEAST_ASKED))
+    firm = dataclasses.replace(firm, H=1e-4 * firm.H, residual=firm.residual + 100.0)
+    both = few.joined(firm)
+    passed, added = both.gated(P, PROBABILITY)
+    assert passed[: len(few.views)].all()
+    assert not passed[len(few.views) :].any()
+    assert np.median(added) < WIDE
+    assert not trusted(both, None, P, PROBABILITY).any()
+
+
 def test_without_a_majority_the_gate_alone_decides(seen: TrackObservation) -> None:
     P, alone = covariance(seen, 1.0), of(seen, slice(0, 1))
     opposite = dataclasses.replace(alone, residual=-alone.residual)

@@ -17,6 +17,7 @@ from uav_vslam.estimation.track_linearisation import relinearised
 from uav_vslam.estimation.tracks import DRIFT, LEFT, OFFSET, TrackObservation, Tracks, observe_tracks
 from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.numerics import submatrix
 from uav_vslam.types import NavEstimate
 
 Array = NDArray[np.float64]
@@ -282,6 +283,25 @@ def test_tracks_that_move_the_estimate_far_are_linearised_where_they_lead(course
     assert np.linalg.norm(moved.t - truly.t) < 0.01
     seen_from = other.nav.T_map_body.inverse().apply(other.landmarks)
     np.testing.assert_allclose(seen_from, last.inverse().apply(course.landmarks[3:]), atol=0.1)  # 1 sigma: 0.4 m
+
+
+@pytest.mark.parametrize(("wrong", "refused"), [(2, 2), (6, 9)])
+def test_tracks_that_do_not_fit_where_they_lead_are_refused_and_all_if_most_do_not(course, wrong, refused) -> None:
+    """About the wrong prediction the gate is so wide that a slip by 30 sigma in the image is none."""
+    f, tracks = flown_at_wrong_velocity(course, np.array([10.0, -6.0, 4.0]))
+    slips = np.random.default_rng(4).normal(0.0, 30.0 * SIGMA_PX, (wrong, 2))
+    tracks.pixels[:wrong, 1] += np.hstack([slips, slips])
+    about_prediction = f._linearised_tracks(tracks, f.mean)
+    P = submatrix(f.belief.covariance(NO_ROWS), about_prediction.rows)
+    assert about_prediction.seen.gated(P, 0.99)[0].all()
+    other, passed, _ = f.with_tracks(tracks, probability=0.99, become_landmarks=np.zeros(len(tracks), bool))
+    np.testing.assert_array_equal(passed, np.arange(len(tracks)) >= refused)
+    if passed.any():
+        moved = other.past.pose(0).inverse() @ other.past.pose(1)
+        truly = course.true_state(0).T_map_body.inverse() @ course.true_state(1).T_map_body
+        assert np.linalg.norm(moved.t - truly.t) < 0.01
+    else:
+        np.testing.assert_array_equal(other.nav.T_map_body.t, f.nav.T_map_body.t)
 
 
 @pytest.mark.parametrize("name", ["eif", "ekf", "ukf"])

@@ -68,7 +68,7 @@ def test_an_offset_that_is_found_after_a_recovery_is_used_from_the_start_on(
     assert nees.mean() < 1.5
     monkeypatch.setattr(SlamFlight, "contradicting_timing", None)
     lost = feed(flight.tracking_stage(PX), frames)
-    assert flight.errors_and_nees(lost)[1].mean() > 10.0
+    assert flight.errors_and_nees(lost)[1].mean() > 3.0
 
 
 def test_a_right_clock_is_watched_for_a_second_only_and_nothing_changes(flown, monkeypatch) -> None:

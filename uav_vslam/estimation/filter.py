@@ -41,7 +41,7 @@ from uav_vslam.estimation.models import POSE
 from uav_vslam.estimation.observation import in_left_camera, projectable, smoothed, triangulation_covariance
 from uav_vslam.estimation.past_poses import COPY_VARIANCE
 from uav_vslam.estimation.track_consensus import trusted
-from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
+from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, fitting
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
 from uav_vslam.estimation.turning import Gusts, Turning
 from uav_vslam.estimation.weighted_update import Innovation, huber_weights, whitened
@@ -180,10 +180,12 @@ class Filter(JointState):
             )
             if not passed.any():
                 return passed
-            linearised, self._of_tracks = relinearised(
-                first, passed, P, lambda delta: self._linearised_tracks_at(tracks, delta)
+            passed, linearised, said = fitting(
+                first, passed, P, lambda delta: self._linearised_tracks_at(tracks, delta), probability
             )
-            self._append_points(linearised, passed & become_landmarks)
+            if passed.any():
+                self._of_tracks = said
+                self._append_points(linearised, passed & become_landmarks)
         return passed
 
     def _linearised_tracks(self, tracks: Tracks, mean: Mean) -> LinearisedTracks:

@@ -5,7 +5,8 @@ After a long time without an image the velocity may be off by metres a second. O
 move the mean by a multiple of what a linearisation about it holds for: views that are exact to a hundredth of a pixel
 make the state certain of what is off by ten sigma. So they are linearised again at the mean that they lead to, until
 their residuals there are those that the linearisation predicts, as in an iterated Kalman filter; a step that would
-leave larger residuals is shortened.
+leave larger residuals is shortened. About the filter's own mean the gate is so wide that an error of tens of sigma in a
+view is none: so tracks that do not fit where they all lead are refused there.
 
 Symbols: with the mean moved by delta, the error becomes e' = T (e - delta), and a residual r' = H' e' + noise is
 r' + H' T delta = H' T e + noise.
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 RELINEARISATIONS = 5  # at most
+ROUNDS = 6  # at most
 SHORTER_STEPS = 3  # at most, each half as long as the one before
 NONLINEAR = 1.0  # by which the squared residuals, over their noise, may exceed those predicted
 
@@ -73,6 +75,13 @@ class LinearisedTracks:
         T = self.move.T
         return dataclasses.replace(said, Y=T.T @ Y @ T, i=T.T @ i).about(self.move.delta)
 
+    def misfits(self, said: VehicleObservation, P: Array, probability: float) -> Array:
+        """Return (T,) `TrackObservation.misfits` where `said`, about the filter's mean of covariance P, leads."""
+        mean = np.asarray(np.linalg.solve(np.eye(len(P)) + P @ said.Y, P @ said.i))
+        if self.move is not None:
+            mean = self.move.T @ (mean - self.move.delta)
+        return self.seen.misfits(mean[self.rows], probability)
+
     def of_points(self, tracks: Mask) -> tuple[Array, Array, Array]:
         """Return the points (K, 3) of some tracks, and what `Belief.appended` takes: (K, 3, vehicle) and (K, 3, 3)."""
         chosen = self.seen.chosen(tracks)
@@ -84,10 +93,38 @@ class LinearisedTracks:
         return chosen.points + np.linalg.solve(chosen.R, (H @ self.move.delta)[..., None])[..., 0], H, chosen.R
 
 
+def fitting(
+    first: LinearisedTracks, used: Mask, P: Array, linearise: Callable[[Array], LinearisedTracks], probability: float
+) -> tuple[Mask, LinearisedTracks, VehicleObservation]:
+    """Return which tracks to use, and of these what `relinearised` returns; all, as they are, in a narrow gate.
+
+    Those are used that fit where they lead, if they are a majority; otherwise none.
+
+    Where wrong tracks lead the others astray, those that fit best lead next, as in least trimmed squares.
+
+    Args:
+        first, used, P, linearise: as for `relinearised`.
+        probability: of the gate about the mean to which the tracks lead.
+    """
+    linearised, said = first, first.of_vehicle(used)
+    if np.vdot(said.Y, P) < WIDE * used.sum():
+        return used, linearised, said
+    leading = used
+    for _ in range(ROUNDS):
+        linearised, said = relinearised(first, leading, P, linearise)
+        misfits = linearised.misfits(said, P, probability)
+        median = np.median(misfits[used])
+        best = used & (misfits <= max(median, 1.0))
+        if median <= 1.0 and (best == leading).all():
+            return leading, linearised, said
+        leading = best
+    return np.zeros_like(used), linearised, said
+
+
 def relinearised(
     first: LinearisedTracks, used: Mask, P: Array, linearise: Callable[[Array], LinearisedTracks]
 ) -> tuple[LinearisedTracks, VehicleObservation]:
-    """Return tracks linearised at the mean that those used lead to, or as they are if that is near enough.
+    """Return tracks linearised at the mean that those used lead to, or as they are if those predict what is there.
 
     The second value is what those used say there about the error of the filter's mean.
 
@@ -98,8 +135,6 @@ def relinearised(
         linearise: linearises them where a correction (vehicle,) moves the filter's mean.
     """
     best, said = first, first.of_vehicle(used)
-    if np.vdot(said.Y, P) < WIDE * used.sum():
-        return best, said
 
     def at(weighted: Array) -> tuple[LinearisedTracks, float, float]:
         """Return the tracks where P times a vector leads, their squared residual, and that with the prior's."""

@@ -141,6 +141,13 @@ class TrackObservation:
         nis[large] = np.sum(r[large] * np.linalg.solve(S, r[large]), axis=(1, 2))
         return np.asarray(self.good & (nis <= most)), added
 
+    def misfits(self, mean: Array, probability: float) -> Array:
+        """Return (T,) squared residuals at a mean over the largest that pass the gate; infinite for those not good."""
+        r = (self.residual - self.H @ mean)[..., None]
+        r = r - self.Q @ (np.swapaxes(self.Q, 1, 2) @ r)
+        most = chdtri(4 * self.views - 3, 1.0 - probability)
+        return np.where(self.good, np.sum(r**2, axis=(1, 2)) / most, np.inf)
+
     def of_poses(self) -> VehicleObservation:
         """Return what all tracks together say about the rig's errors and the past poses."""
         columns = self.H.shape[2]
