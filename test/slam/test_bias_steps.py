@@ -14,7 +14,7 @@ from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import corrected
 from uav_vslam.slam.backend import SKIPPED_IDS
-from uav_vslam.slam.bias_steps import SETTLED_S, correction
+from uav_vslam.slam.bias_steps import SETTLED_S, _replayed, correction
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
@@ -92,6 +92,16 @@ def test_a_step_is_noticed_among_frames_that_show_nothing(flown, begun) -> None:
     assert found[0] > FIRST
     known = [output.joint.ids for output in outputs if output.joint is not None]
     assert max(ids.max() for ids in known) < SKIPPED_IDS
+
+
+def test_what_a_single_frame_shows_is_no_step(begun) -> None:
+    """Where a second passes between images: whatever one shows, biases that may step explain it."""
+    flight = begun()[0]._flight
+    past = flight._bias_steps._past[0]
+    since_ns = past.frames[-1][1].stamp_ns - past.frames[-3][1].stamp_ns
+    for constant_s, is_found in ((0.75 * since_ns / NS_PER_S, True), (0.25 * since_ns / NS_PER_S, False)):
+        found = _replayed(past, flight.backend, flight._config, constant_s=constant_s, significance=1.0)
+        assert (found is not None) == is_found
 
 
 def test_a_correction_that_its_covariance_allows_for_is_chi_square(flown) -> None:

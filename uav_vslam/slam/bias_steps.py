@@ -34,6 +34,7 @@ SIGNIFICANCE = 1e-5  # false-alarm probability: of a comparison, or of a trial t
 CONFIRMED = 0.5  # of a trial that follows a comparison
 SHOWN_S = 0.4  # for which a step is over when it shows; the first trial is made then, or when nothing fits for so long,
 LONGER = 1.5  # and the next one after so much longer, and so on
+SHOWN_FRAMES = 2  # that it must explain since: with biases that may step, any one frame fits, even a misleading one
 STEP_SIGMA = 0.05, 1.0  # of a step [rad/s], [m/s^2]
 
 COMPARED = slice(VELOCITY.start, ACCEL_BIAS.stop)
@@ -169,12 +170,16 @@ def _replayed(
     stepping = dataclasses.replace(config.imu, gyro_bias_walk=gyro_walk, accel_bias_walk=accel_walk)
     open_until_ns = past.unaided.state.stamp_ns - constant_s * NS_PER_S
     backend = past.backend.to_replace(present, config)
+    shown = 0
     for features, increment in past.frames:
         is_over = increment.stamp_ns > open_until_ns
         backend.set_imu(config.imu if is_over else stepping)
         report = backend.process(features, increment)
         if report.recovery or (is_over and report.coasted and report.tracked):
             return None
+        shown += is_over and not report.coasted
+    if shown < SHOWN_FRAMES:
+        return None
     before, nav = past.backend.nav.state, report.nav
     gyro, accel = nav.state.gyro_bias - before.gyro_bias, nav.state.accel_bias - before.accel_bias
     step = np.concatenate([gyro, accel])
