@@ -4,7 +4,7 @@
 A point is a feature track, at most `MAX_SPAN` frames of it; without tracks, a landmark as the filter associated it.
 Where a tracked landmark is found again by a new detection, that is a new point: detections repeat worse than tracks.
 Only landmarks seen again after `LONG_FRAMES` tie their visits together, with the uncertainty of the redetection: they
-close a loop.
+close a loop. Between two frames with few common tracks, landmarks tie what is on either side, and lone tracks are cut.
 """
 
 import dataclasses
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 MAX_SPAN = 48  # frames of one point: the cost of a frame grows with its square
+FEW_TRACKS = 10  # that go on from frame to frame: below, landmarks help to hold the frames together
+LONE_TRACKS = 4  # below, flow has found them by chance in two images that share nothing
 MAX_LANDMARKS = 100  # that close loops, with 3 unknowns each in the border of the normal equations
 
 
@@ -104,9 +106,9 @@ def gather(flight: FilteredFlight) -> Sightings:
     known = np.flatnonzero(labels != 0)
     order = known[np.lexsort((states[known], labels[known]))]
     states, pixels, labels, ids = states[order], pixels[order], labels[order], ids[order]
-    points = _segments(labels, states)
+    points = _segments(labels, states, _stretches(flight, LONE_TRACKS))
     count = int(points[-1]) + 1 if len(points) else 0
-    landmarks = _revisited(points, states, ids, count)
+    landmarks = _revisited(points, states, ids, count, _stretches(flight, FEW_TRACKS))
     first = states[np.searchsorted(points, np.arange(count))]
     number = np.empty(count, np.intp)
     number[np.argsort(first, kind="stable")] = np.arange(count)
@@ -138,11 +140,23 @@ def _columns(flight: FilteredFlight) -> tuple[Rows, Array, Rows, Rows]:
     )
 
 
-def _segments(labels: Rows, states: Rows) -> Rows:
-    """Number the stretches of each label that have no long gap and span at most `MAX_SPAN` states."""
+def _stretches(flight: FilteredFlight, least: int) -> Rows:
+    """Return (S,) the number of each state's stretch, in which so many tracks go on; one for all without any track."""
+    numbers, before = np.zeros(len(flight.states), np.intp), np.zeros(0, np.uint32)
+    if not any(frame.features.tracks.any() for frame in flight.frames):
+        return numbers
+    for row, frame in zip(flight.state_rows.tolist(), flight.frames, strict=True):
+        tracks = frame.features.tracks[frame.features.tracks != 0]
+        numbers[row] = len(np.intersect1d(tracks, before)) < least
+        before = tracks
+    return np.cumsum(numbers)
+
+
+def _segments(labels: Rows, states: Rows, stretches: Rows) -> Rows:
+    """Number the parts of each label that have no long gap and span at most `MAX_SPAN` states of one stretch."""
     if len(labels) == 0:
         return labels
-    apart = (np.diff(labels) != 0) | (np.diff(states) >= LONG_FRAMES)
+    apart = (np.diff(labels) != 0) | (np.diff(states) >= LONG_FRAMES) | (np.diff(stretches[states]) != 0)
     starts = np.flatnonzero(np.append(True, apart))
     stretch = np.cumsum(np.append(False, apart))
     part = (states - states[starts][stretch]) // MAX_SPAN
@@ -159,8 +173,8 @@ def _shown(points: Rows, ids: Rows, count: int) -> Rows:
     return shown
 
 
-def _revisited(points: Rows, states: Rows, ids: Rows, count: int) -> Rows:
-    """Return (P,) the number of the revisited landmark that each point shows, -1 for none.
+def _revisited(points: Rows, states: Rows, ids: Rows, count: int, stretches: Rows) -> Rows:
+    """Return (P,) the number of the revisited landmark that each point shows, -1 for none; (S,) stretches of states.
 
     Of each visit, the point with most observations stands for the landmark.
     """
@@ -169,7 +183,8 @@ def _revisited(points: Rows, states: Rows, ids: Rows, count: int) -> Rows:
     order = seen[np.lexsort((states[seen], ids[seen]))]
     sorted_ids, sorted_states = ids[order], states[order]
     new_id = np.diff(sorted_ids, prepend=-1) != 0
-    visits = np.cumsum(new_id | (np.diff(sorted_states, prepend=0) >= LONG_FRAMES)) - 1
+    long_ago = np.diff(sorted_states, prepend=0) >= LONG_FRAMES
+    visits = np.cumsum(new_id | long_ago | (np.diff(stretches[sorted_states], prepend=0) != 0)) - 1
     visit_ids = sorted_ids[np.searchsorted(visits, np.arange(visits[-1] + 1))] if len(visits) else sorted_ids
     names, visits_of = np.unique(visit_ids, return_counts=True)
     again = names[np.argsort(-visits_of, kind="stable")][: int((visits_of > 1).sum())][:MAX_LANDMARKS]
