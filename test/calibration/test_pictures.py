@@ -157,6 +157,12 @@ def test_images_of_a_recording_are_paired_and_thinned(given: tuple[str, str] | N
     assert len(result) == 4
 
 
+def test_a_recording_without_metadata_is_one(tmp_path: Path) -> None:
+    bag = Path(recorded(tmp_path / "bag", *TOPICS))
+    (bag / "metadata.yaml").unlink()
+    assert len(pictures_of([str(bag)], most=5)) == 4
+
+
 def test_pictures_that_can_not_be_read_come_as_the_reason(tmp_path: Path) -> None:
     left, right = (pictures(tmp_path, *(f"{side}{k}.png" for k in range(3))) for side in ("left", "right"))
     right[1].write_bytes(b"no picture")

@@ -13,7 +13,7 @@ import zstandard
 
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.compressed_bag import FOLDER
-from uav_vslam.datasets.rosbag import iter_raw, topics_of
+from uav_vslam.datasets.rosbag import is_bag, iter_raw, topics_of
 from uav_vslam.errors import BagError
 
 
@@ -48,6 +48,8 @@ def test_a_compressed_file_alone_is_a_bag_and_one_beside_its_plain_copy_is_not_r
     bag = compressed(tiny_bag, tmp_path / "bag")
     (file,) = bag.glob("*.zstd")
     (bag / "metadata.yaml").unlink()
+    assert is_bag(bag)
+    assert is_bag(file)
     expected = list(iter_raw([tiny_bag]))
     assert list(iter_raw([file])) == expected
     (bag / file.stem).write_bytes((tiny_bag / file.stem).read_bytes())

@@ -17,7 +17,7 @@ from uav_vslam.datasets.bag import IMAGE_TYPES, vehicles
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.image_sets import SUFFIXES, read_image
 from uav_vslam.datasets.messages import header_stamp_ns, image_of
-from uav_vslam.datasets.rosbag import iter_raw, topics_of
+from uav_vslam.datasets.rosbag import is_bag, iter_raw, topics_of
 from uav_vslam.datasets.stereo_sync import StereoPairer
 from uav_vslam.errors import BagError, CalibrationError, UavVslamError
 from uav_vslam.geometry.stereo import SIDES
@@ -123,7 +123,7 @@ def pictures_of(inputs: Sequence[str], *, topics: Sequence[str] | None = None, m
     """
     if len(inputs) == 1:
         path = Path(inputs[0])
-        if path.is_dir() and not (path / "metadata.yaml").exists():
+        if path.is_dir() and not is_bag(path):
             return paired(*_sides_of(path))
         return _of_bag(path, topics, most)
     if len(inputs) == 2:

@@ -30,7 +30,6 @@ Files and results folders: comparison.json and comparison.png go into a new fold
 stays where it is. Bags: summary.json, trajectories and plots go into a new folder, to which results/latest leads. ATE
 and end error need no alignment where the start state was given in the frame of the truth.
 """
-BAG_FILES = {".mcap", ".db3", ".bag"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,11 +68,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, write and print; return 2 if a recording is damaged, after evaluating what can be read."""
     from uav_vslam.cli.comparison import compare_files
+    from uav_vslam.datasets.rosbag import is_bag
     from uav_vslam.errors import BagError, ConfigError, UavVslamError
 
     if missing := next((path for path in args.inputs if not path.exists()), None):
         raise UavVslamError(f"{missing} does not exist; give trajectory files, folders of results, or bags")
-    bags = [path for path in args.inputs if _is_bag(path)]
+    bags = [path for path in args.inputs if is_bag(path)]
     if not bags:
         return compare_files(args)
     if len(bags) < len(args.inputs) or args.truth is not None:
@@ -96,12 +96,6 @@ def run(args: argparse.Namespace) -> int:
         alignment=args.alignment,
         draws=not args.no_plots,
     )
-
-
-def _is_bag(path: Path) -> bool:
-    if not path.is_dir():
-        return path.suffix in BAG_FILES
-    return (path / "metadata.yaml").exists() or any(file.suffix in BAG_FILES for file in path.iterdir())
 
 
 def evaluate(

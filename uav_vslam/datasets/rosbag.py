@@ -18,7 +18,7 @@ from rosbags.interfaces import Connection, QosDurability
 from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.bag_reader import Reader
 from uav_vslam.datasets.cdr import RawMessage, encode, typestore
-from uav_vslam.datasets.compressed_bag import compressed_files, given_as, unpacked
+from uav_vslam.datasets.compressed_bag import METADATA, SUFFIX, compressed_files, given_as, unpacked
 from uav_vslam.datasets.foreign_mcap import what_is_foreign
 from uav_vslam.datasets.unindexed_mcap import lacks_index, readable_messages
 from uav_vslam.errors import BagError, one_line
@@ -65,6 +65,12 @@ class Topics(dict[str, TopicInfo]):
         """Count messages of a topic; type and durability are those of the last ones."""
         name = _full_name(topic)
         self[name] = TopicInfo(msgtype, messages + (self[name].count if name in self else 0), latched)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is meant as a bag, by its name or those of the files inside."""
+    files = list(path.iterdir()) if path.is_dir() else [path]
+    return any(file.name == METADATA or file.name.removesuffix(SUFFIX).endswith(STORAGE_FILES) for file in files)
 
 
 def topics_of(paths: Sequence[Path]) -> Topics:
@@ -184,7 +190,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
             if real in owners:
                 raise BagError(f"bag {given} holds what {owners[real]} holds, {real.name}: give each recording once")
             owners[real] = given
-        whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(lacks_index, files_inside))
+        whole = path.is_dir() and (path / METADATA).exists() and not any(map(lacks_index, files_inside))
         files += [path] if whole else files_inside
     return files
 
