@@ -162,10 +162,14 @@ def test_files_of_the_cameras_alone_leave_their_place_to_the_static_frames(kind:
     assert_rig(setup.rig())
 
 
-def test_cameras_that_were_calibrated_alone_leave_their_places_to_the_static_frames(tmp_path: Path) -> None:
-    for path in ros(tmp_path):
+@pytest.mark.parametrize("R", [np.eye(3), np.zeros((3, 3))], ids=["rectified alone", "R is not filled in"])
+def test_cameras_that_were_calibrated_alone_leave_their_places_to_the_static_frames(
+    R: np.ndarray, tmp_path: Path
+) -> None:
+    for path, camera in zip(ros(tmp_path), (LEFT, RIGHT), strict=True):
         tree = yaml.safe_load(path.read_text())
-        tree["rectification_matrix"]["data"] = np.eye(3).ravel().tolist()
+        tree["rectification_matrix"]["data"] = R.ravel().tolist()
+        tree["distortion_coefficients"]["data"] = [*camera.distortion.tolist(), 0.0, 0.0, 0.0]
         tree["projection_matrix"]["data"] = np.column_stack([LEFT.K, np.zeros(3)]).ravel().tolist()
         written(path, tree)
     setup = setup_of(tmp_path / "left.yaml", tmp_path / "right.yaml")

@@ -19,7 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.calibration_tree import Tree, read_tree
-from uav_vslam.datasets.camera_calibration import Calibration, CameraCalibration, camera, finite, rigid_pose
+from uav_vslam.datasets.camera_calibration import (
+    Calibration,
+    CameraCalibration,
+    camera,
+    finite,
+    pose_in_pair,
+    rigid_pose,
+)
 from uav_vslam.datasets.opencv_calibrations import of_orb_slam, of_vins
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.pose import Pose
@@ -140,10 +147,8 @@ def _of_ros(tree: Tree) -> Calibration:
     found = camera(size, [K[0, 0], K[1, 1], K[0, 2], K[1, 2]], tree.get("distortion_model", ""), coefficients)
     T_pair_cam = None
     if "projection_matrix" in tree and "rectification_matrix" in tree:
-        P = _matrix(tree["projection_matrix"], 3, 4)
-        R_pair_cam = _matrix(tree["rectification_matrix"], 3, 3)
-        if P[0, 0] > 0 and P[1, 1] > 0:  # P = K' [I | t], t from the left camera to this one
-            T_pair_cam = Pose(R_pair_cam, -np.array([P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0.0]))
+        P, R = _matrix(tree["projection_matrix"], 3, 4), _matrix(tree["rectification_matrix"], 3, 3)
+        T_pair_cam = pose_in_pair(P, R)
     return Calibration((CameraCalibration(found, T_left_cam=T_pair_cam),))
 
 

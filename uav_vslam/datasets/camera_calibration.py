@@ -24,6 +24,7 @@ LENS_MODELS = {
     "none": "plumb_bob",
     "radial-tangential": "plumb_bob",
     "fisheye": "equidistant",
+    "kannala_brandt4": "equidistant",
     **KALIBR_LENSES,
 }
 ORTHOGONAL = 5e-3  # largest deviation of R R^T from the identity: three decimals
@@ -87,24 +88,39 @@ class Calibration:
 
 
 def camera(size: Sequence[Any], intrinsics: Sequence[Any], model: str, coefficients: Sequence[Any]) -> PinholeCamera:
-    """Return a camera from the numbers of a file.
+    """Return a camera from the numbers of a file or message.
 
     Args:
         size: width and height [px].
         intrinsics: fx, fy, cx, cy [px].
         model: distortion model as any of the tools calls it.
-        coefficients: of the lens; trailing zeros may be missing.
+        coefficients: of the lens; trailing zeros may be missing, and some drivers fill an array of one length.
 
     Raises:
         CalibrationError: the model is not supported or a number is missing.
     """
     model = LENS_MODELS.get(model, model)
-    distortion = [float(value) for value in coefficients]
-    if model in COEFFICIENTS and model != "equidistant":
-        distortion += [0.0] * (COEFFICIENTS[model] - len(distortion))
+    distortion = np.array([float(value) for value in coefficients])
+    count = COEFFICIENTS.get(model, len(distortion))
+    if model != "equidistant":  # whose zeros are a lens
+        distortion = np.concatenate([distortion, np.zeros(max(0, count - len(distortion)))])
+    if not distortion[count:].any():
+        distortion = distortion[:count]
     width, height = map(int, size)
     fx, fy, cx, cy = map(float, intrinsics)
-    return PinholeCamera(width, height, fx, fy, cx, cy, np.array(distortion), model)
+    return PinholeCamera(width, height, fx, fy, cx, cy, distortion, model)
+
+
+def pose_in_pair(P: Array, R_pair_cam: Array) -> Pose | None:
+    """Return the pose of a camera in the rectified frame of its stereo pair; None if it is not filled in.
+
+    Args:
+        P: (3, 4) projection matrix K' [I | t], where t leads from the pair's frame, the left camera's, to this one.
+        R_pair_cam: its rectifying rotation.
+    """
+    if not (P[0, 0] > 0 and P[1, 1] > 0 and np.isfinite(P).all() and is_rotation(R_pair_cam)):
+        return None
+    return Pose(R_pair_cam, -np.array([P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0.0]))
 
 
 def finite(value: Any, name: str) -> float:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.camera_calibration import is_rotation
+from uav_vslam.datasets.camera_calibration import camera, pose_in_pair
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
-from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
+from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
 
@@ -53,8 +53,6 @@ TRUTH_TYPES = (
     "geometry_msgs/msg/TransformStamped",
 )
 AS_THE_SENSOR_LAY = cv2.IMREAD_IGNORE_ORIENTATION  # of EXIF: the calibration is of the stored pixels, as in ROS
-# What other tools call the models of `PinholeCamera`.
-LENS_MODELS = {"": "plumb_bob", "fisheye": "equidistant", "kannala_brandt4": "equidistant"}
 
 # A serialised message (CDR) begins with its encoding, the stamp and the length of the frame_id with its final zero.
 PLAIN_CDR = (b"\0\0", b"\0\1")  # big and little endian
@@ -194,15 +192,9 @@ def camera_of(info: Any) -> PinholeCamera:
         CalibrationError: the distortion model is not supported, K, D or the size is not filled in, or the region of
             interest is not within the sensor.
     """
-    model = LENS_MODELS.get(info.distortion_model, info.distortion_model)
-    coefficients = np.asarray(info.d, dtype=float)
-    count = COEFFICIENTS.get(model, len(coefficients))
-    if model != "equidistant":  # whose zeros are a lens; of the others trailing ones may be left out
-        coefficients = np.concatenate([coefficients, np.zeros(max(0, count - len(coefficients)))])
-    if not coefficients[count:].any():  # some drivers fill an array of one length, whatever the model
-        coefficients = coefficients[:count]
-    k = np.asarray(info.k).tolist()
-    return _recorded_part(info, PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], coefficients, model))
+    k = info.k
+    sensor = camera((info.width, info.height), (k[0], k[4], k[2], k[5]), info.distortion_model, info.d)
+    return _recorded_part(info, sensor)
 
 
 def _recorded_part(info: Any, sensor: PinholeCamera) -> PinholeCamera:
@@ -238,20 +230,14 @@ def rectified_camera_of(info: Any) -> tuple[PinholeCamera, Pose]:
     R_rectified_cam = np.asarray(info.r, dtype=float).reshape(3, 3)
     if not np.allclose(R_rectified_cam @ R_rectified_cam.T, np.eye(3), atol=1e-3):
         raise CalibrationError("R of camera_info is no rotation; is it filled in? Or leave out input.rectified")
-    camera = _recorded_part(info, PinholeCamera(info.width, info.height, fx, fy, cx, cy))
-    return camera, Pose(R_rectified_cam.T, np.zeros(3))
+    sensor = PinholeCamera(info.width, info.height, fx, fy, cx, cy)
+    return _recorded_part(info, sensor), Pose(R_rectified_cam.T, np.zeros(3))
 
 
 def T_pair_cam_of(info: Any, *, rectified: bool) -> Pose | None:
-    """Return the pose of the images of a CameraInfo in the rectified frame of their stereo pair; None if P has none.
-
-    P = K' [I | t], where t leads from the pair's frame, the rectified left one, to this camera.
-    """
-    P = np.asarray(info.p, dtype=float).reshape(3, 4)
-    if not (P[0, 0] > 0 and P[1, 1] > 0 and np.isfinite(P).all()):
-        return None
+    """Return the pose of the images of a CameraInfo in the rectified frame of their stereo pair; None if P has none."""
     R_pair_cam = np.eye(3) if rectified else np.asarray(info.r, dtype=float).reshape(3, 3)
-    return Pose(R_pair_cam, -np.array([P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0.0])) if is_rotation(R_pair_cam) else None
+    return pose_in_pair(np.asarray(info.p, dtype=float).reshape(3, 4), R_pair_cam)
 
 
 def imu_of(built: Any) -> ImuSample:
