@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The record of a vehicle's frames as CSV, one row a frame; the columns name their units."""
 
-import csv
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uav_vslam.evaluation.consistency import nees
+from uav_vslam.evaluation.flight_tables import TIME, time_cells, write_table
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.quality import HEADING, innovation_bands
 from uav_vslam.evaluation.result import VehicleResult
-from uav_vslam.types import NS_PER_S, FrameQuality
+from uav_vslam.types import FrameQuality
 
 COUNTS = ("features", "tracked", "associated", "downweighted", "landmarks", "closures")
 FLAGS = ("coasted", "relocalised", "restarted")
@@ -19,31 +19,28 @@ SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m", "sigma_heading_deg")  #
 NIS = ("nis", "dof", "nis_per_dof", "band_low", "band_high")  # empty for a frame without an update
 NEES = ("nees_position", "nees_rotation")  # over 3, of S-SLAM; empty without ground truth
 CALIBRATION = ("time_offset_ms", "time_offset_sigma_ms", "disparity_error_px", "disparity_error_sigma_px")
-COLUMNS = ("stamp_ns", "time_s", *COUNTS, *FLAGS, *NIS, *SIGMAS, *NEES, *CALIBRATION, "alarms", "events")
+COLUMNS = (*TIME, *COUNTS, *FLAGS, *NIS, *SIGMAS, *NEES, *CALIBRATION, "alarms", "events")
 
 
 def write_frames(vehicle: VehicleResult, path: Path) -> None:
     """Write the frames of a vehicle that were recorded."""
     frames, sigmas, errors = vehicle.frames or (), _sigmas(vehicle), _nees(vehicle)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for frame in frames:
-            alarms = (vehicle.alarms or {}).get(frame.stamp_ns, ())
-            writer.writerow(
-                [
-                    frame.stamp_ns,
-                    f"{(frame.stamp_ns - vehicle.start_ns) / NS_PER_S:.6f}",
-                    *(getattr(frame, name) for name in COUNTS),
-                    *(int(getattr(frame, name)) for name in FLAGS),
-                    *_innovation(frame),
-                    *sigmas.get(frame.stamp_ns, [""] * len(SIGMAS)),
-                    *errors.get(frame.stamp_ns, [""] * len(NEES)),
-                    *_calibration(frame),
-                    "; ".join(alarms),
-                    "; ".join(frame.events),
-                ]
-            )
+    alarms = vehicle.alarms or {}
+    rows = (
+        (
+            *time_cells(frame.stamp_ns, vehicle.start_ns),
+            *(getattr(frame, name) for name in COUNTS),
+            *(int(getattr(frame, name)) for name in FLAGS),
+            *_innovation(frame),
+            *sigmas.get(frame.stamp_ns, [""] * len(SIGMAS)),
+            *errors.get(frame.stamp_ns, [""] * len(NEES)),
+            *_calibration(frame),
+            "; ".join(alarms.get(frame.stamp_ns, ())),
+            "; ".join(frame.events),
+        )
+        for frame in frames
+    )
+    write_table(path, COLUMNS, rows)
 
 
 def _innovation(frame: FrameQuality) -> list[Any]:
