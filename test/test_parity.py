@@ -208,8 +208,8 @@ def test_two_vehicles_estimate_the_same_in_the_graph_and_in_its_twin(
         assert len(outputs[name].smoothed) == FRAMES - BackendConfig().window
         link = outputs[name].link
         assert link is not None
-        assert link.packets_used > 0
-        assert link.dropped == {}
+        assert link.counters.packets_used > 0
+        assert link.counters.dropped == {}
         assert sum(peer.used for peer in twin.cooperative[name].fusion.inbox.peers.values()) > 0
         own = [output.report.pose.T_map_body.t for output in track.outputs]
         fused = [pose.T_map_body.t for pose in twin.cooperative[name].poses]

@@ -14,13 +14,14 @@ from uav_vslam.datasets.messages import TRUTH_TYPES, stamp_ns_of, truth_of
 from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, topics_of
 from uav_vslam.datasets.truth import left_out_text, unread_text
 from uav_vslam.errors import BagError, InvalidMessage
+from uav_vslam.evaluation.result import LinkCounters
 from uav_vslam.types import FrameQuality, LinkEpoch, PoseEstimate
 
-ODOMETRY, TRUTH = "odometry", "ground_truth/odometry"
+ODOMETRY, SMOOTHED, TRUTH = "odometry", "slam/smoothed", "ground_truth/odometry"
 ESTIMATE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 POSES = {
     ODOMETRY: "own_only",
-    "slam/smoothed": "smoothed",
+    SMOOTHED: "smoothed",
     "fused/odometry": "fused",
     "ins/dead_reckoning": "dead_reckoning",
     TRUTH: "truth",
@@ -37,21 +38,13 @@ class LinkRecord:
 
     Attributes:
         mode: communication mode.
-        packets_sent: since the start.
-        sent_bytes_per_s: mean rate since the first packet [B/s].
-        packets_received, packets_used, packets_waiting: over all peers.
-        dropped: packets dropped, by reason, over all peers; "budget" counts own ones that were not sent.
         peers: names of the peers that packets came from.
+        counters: since the start; the dropped ones by "budget" are own ones that were not sent.
     """
 
     mode: str
-    packets_sent: int
-    sent_bytes_per_s: float
-    packets_received: int
-    packets_used: int
-    packets_waiting: int
-    dropped: dict[str, int]
     peers: tuple[str, ...]
+    counters: LinkCounters
 
 
 @dataclass(slots=True)
@@ -222,16 +215,15 @@ def _link(built: Any) -> LinkRecord:
     for peer in built.peers:
         for reason, count in zip(peer.drop_reasons, peer.drop_counts, strict=True):
             dropped[reason] = dropped.get(reason, 0) + int(count)
-    return LinkRecord(
-        mode=built.mode,
+    counters = LinkCounters(
         packets_sent=int(built.packets_sent),
         sent_bytes_per_s=float(built.sent_bytes_per_s),
         packets_received=sum(int(peer.packets_received) for peer in built.peers),
         packets_used=sum(int(peer.packets_used) for peer in built.peers),
         packets_waiting=sum(int(getattr(peer, "packets_waiting", 0)) for peer in built.peers),  # older bags lack it
         dropped=dropped,
-        peers=tuple(peer.peer for peer in built.peers),
     )
+    return LinkRecord(built.mode, tuple(peer.peer for peer in built.peers), counters)
 
 
 def _epoch(built: Any) -> LinkEpoch:

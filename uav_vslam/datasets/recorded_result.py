@@ -39,7 +39,7 @@ def _vehicle_result(name: str, recorded: RecordedOutputs, fleet: dict[str, Recor
         frames_processed=len(s_slam),
         closures=sum(frame.closures for frame in frames) if frames else None,
         frames=tuple(frames) or None,
-        link=_counters(recorded),
+        link=recorded.link.counters if recorded.link else LinkCounters(),
         epochs=tuple(sorted(recorded.epochs, key=lambda epoch: epoch.stamp_ns)),
     )
 
@@ -49,20 +49,7 @@ def _has_peer(recorded: RecordedOutputs, fleet: dict[str, RecordedOutputs]) -> b
 
     The mode is the last one: who was switched to `none` in flight had fused before.
     """
-    if not recorded.fused or recorded.link is None or (recorded.link.mode == "none" and not recorded.link.packets_used):
-        return False
-    return bool(recorded.link.peers) or len(fleet) > 1
-
-
-def _counters(recorded: RecordedOutputs) -> LinkCounters:
     link = recorded.link
-    if link is None:
-        return LinkCounters()
-    return LinkCounters(
-        sent_bytes_per_s=link.sent_bytes_per_s,
-        packets_sent=link.packets_sent,
-        packets_received=link.packets_received,
-        packets_used=link.packets_used,
-        packets_waiting=link.packets_waiting,
-        dropped=link.dropped,
-    )
+    if not recorded.fused or link is None or (link.mode == "none" and not link.counters.packets_used):
+        return False
+    return bool(link.peers) or len(fleet) > 1

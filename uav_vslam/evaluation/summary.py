@@ -16,7 +16,7 @@ from uav_vslam.evaluation.clock_offset import clock_offset
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.evaluation.plain import plain
 from uav_vslam.evaluation.quality import claimed_figures, quality_figures
-from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
+from uav_vslam.evaluation.result import FlightResult, VehicleResult
 from uav_vslam.evaluation.scores import ERROR_KEYS, NEES_KEYS, error_scores, track_scores
 from uav_vslam.evaluation.trajectory import Trajectory, interpolate
 
@@ -70,7 +70,7 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
         "smoothed": _optional(vehicle.smoothed, vehicle, alignment, distance_m),
         "quality": quality_figures(vehicle),
         "clock_offset": dataclasses.asdict(offset) if offset else None,
-        "link": _link(vehicle.link),
+        "link": dataclasses.asdict(vehicle.link) | {"dropped": dict(sorted(vehicle.link.dropped.items()))},
     }
 
 
@@ -93,17 +93,6 @@ def _optional(track: Trajectory | None, vehicle: VehicleResult, alignment: str, 
         return None
     common = track.select(np.isin(track.stamps_ns, vehicle.s_slam.stamps_ns))
     return track_scores(common, vehicle.truth, alignment=alignment) | claimed_figures(common, distance_m)
-
-
-def _link(link: LinkCounters) -> Figures:
-    return {
-        "sent_bytes_per_s": link.sent_bytes_per_s,
-        "packets_sent": link.packets_sent,
-        "packets_received": link.packets_received,
-        "packets_used": link.packets_used,
-        "packets_waiting": link.packets_waiting,
-        "dropped": dict(sorted(link.dropped.items())),
-    }
 
 
 def _pool(figures: Iterable[Figures | None]) -> Figures | None:

@@ -25,6 +25,7 @@ from rclpy.node import Node
 from uav_vslam.config.nodes import RecorderNodeConfig
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.messages import header_stamp_ns
+from uav_vslam.datasets.outputs import POSES, QUALITY, SMOOTHED, STATUS
 from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.batches import Batches, take_waiting
@@ -37,14 +38,10 @@ from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam_msgs.msg import FrameQuality, FusionStatus
 
-VEHICLE_TOPICS = {
-    "odometry": Odometry,
-    "fused/odometry": Odometry,
-    "ins/dead_reckoning": Odometry,
-    "ground_truth/odometry": Odometry,
-    "fusion/status": FusionStatus,
-    "slam/quality": FrameQuality,
-    "slam/smoothed": PoseWithCovarianceStamped,
+VEHICLE_TOPICS = dict.fromkeys(POSES, Odometry) | {
+    SMOOTHED: PoseWithCovarianceStamped,
+    STATUS: FusionStatus,
+    QUALITY: FrameQuality,
 }
 REPORT_S = 1.0
 PERIOD_S = 0.1  # between batches
