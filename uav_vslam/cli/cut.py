@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.argument_types import non_negative
-from uav_vslam.cli.messages import say, warn
+from uav_vslam.cli.messages import say, warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.datasets.cut_options import CutOptions, add_cut_arguments, cut_options
 from uav_vslam.errors import UavVslamError
@@ -65,8 +65,7 @@ def run(args: argparse.Namespace) -> int:
     options = cut_options(args)
     if args.trajectory and args.seed is not None:
         raise UavVslamError("--trajectory: starts have the errors of the estimate, none are drawn: leave out --seed")
-    if require_new(args.out):  # before any work
-        warn(f"{args.out}.partial, left by work that was cut short, is removed")
+    warn_each(require_new(args.out))  # before any work
     file = find_config(args.config) if args.config else None
     config = with_noise_of_files(load_vehicle(file, overrides=overrides(args.set)))
     flight = source_of(args.bag, args.vehicle, config.input)

@@ -116,19 +116,11 @@ def run(args: argparse.Namespace) -> int:
     if args.zstd and args.storage != "mcap":
         raise ConfigError(f"--zstd compresses mcap files; leave it out, or --storage {args.storage}")
     kept = configuration_file(args.out).exists()  # before any work: it may be refused
-    if require_new(args.out):
-        warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")
+    warn_each(require_new(args.out))
     problems = Problems(warn)
     source: Source = args.read(args, problems)
-    written = 0
     with progress_bar("importing", source.frame_count) as advance:
-
-        def on_frame() -> None:
-            nonlocal written
-            written += 1
-            advance()
-
-        config = write_source(source, args.out, storage=args.storage, zstd=args.zstd, on_frame=on_frame)
+        written, config = write_source(source, args.out, storage=args.storage, zstd=args.zstd, on_frame=advance)
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
     print(f"{args.out}: {written} image pairs of {source.flight.vehicle}, {size_mb:.1f} MB")
     _report(args.out, source, problems)

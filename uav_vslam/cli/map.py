@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from uav_vslam.argument_types import positive_number
 from uav_vslam.cli.arguments import RESULTS, add_datum, datum_of, first_given
-from uav_vslam.cli.messages import say, warn
+from uav_vslam.cli.messages import say, warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.run import SHEET, add_options, flown
 
@@ -98,8 +98,7 @@ def run(args: argparse.Namespace) -> int:
     if (folder / FOLDER).exists():
         raise UavVslamError(f"{folder / FOLDER} exists already; move it away to map this flight again")
     flights = mapped_flights(folder, args.bags, args.vehicles)
-    if require_new(folder / FOLDER):
-        warn(f"{folder / FOLDER}.partial, left by work that was cut short, is removed")
+    warn_each(require_new(folder / FOLDER))
     cv2.setNumThreads(1)
     with unfinished(folder / FOLDER) as partial:
         cells = write_map(flights, partial, args.cell, args.pixel, datum)

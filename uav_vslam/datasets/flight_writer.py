@@ -110,8 +110,8 @@ def write_flights(
     coding: ImageCoding | None = None,
     storage: str = "mcap",
     zstd: bool = False,
-    on_frame: Callable[[], None] | None = None,
-) -> None:
+    on_frame: Callable[[], None] = lambda: None,
+) -> int:
     """Record one or more vehicles into one bag, in stamp order.
 
     Args:
@@ -122,12 +122,15 @@ def write_flights(
         zstd: compress the chunks of an mcap file.
         on_frame: called after each image pair, for a progress bar.
 
+    Returns:
+        How many image pairs were recorded.
+
     Raises:
         BagError: the folder exists, or our message definitions are not found.
     """
     coding = coding or ImageCoding()
     with RawRecorder(path, storage=storage, zstd=zstd) as recorder:
-        first = True
+        first, pairs = True, 0
         streams = [_events(flight, coding) for flight in flights]
         for stamp_ns, rank, make in heapq.merge(*streams, key=lambda event: event[:2]):
             if first:
@@ -135,8 +138,10 @@ def write_flights(
                 first = False
             for topic, built in make():
                 record_message(recorder, topic, built, stamp_ns)
-            if rank == CAMERAS and on_frame is not None:
+            if rank == CAMERAS:
+                pairs += 1
                 on_frame()
+    return pairs
 
 
 def record_message(recorder: RawRecorder, topic: str, built: Any, stamp_ns: int) -> None:

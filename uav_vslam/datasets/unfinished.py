@@ -16,11 +16,11 @@ from uav_vslam.errors import BagError
 PARTIAL = ".partial"
 
 
-def require_new(out: Path) -> bool:
+def require_new(out: Path) -> list[str]:
     """Prepare for writing: remove what work that was cut short has left, and see whether a folder can be made.
 
     Returns:
-        Whether there was any.
+        Warnings of what was removed.
 
     Raises:
         BagError: `out` exists, something else has its place, or nothing can be written there.
@@ -29,14 +29,15 @@ def require_new(out: Path) -> bool:
         if out.exists():
             raise BagError(f"{out} exists already; remove it, or choose another name")
         partial = _partial(out)
-        left = partial.exists()
-        if left:
+        warnings = []
+        if partial.exists():
             _remove(partial, out.name)
+            warnings = [f"{partial}, left by work that was cut short, is removed"]
         partial.mkdir(parents=True)
         partial.rmdir()
     except OSError as error:
         raise BagError(f"{out}: can't be made ({error.strerror}); choose another place") from None
-    return left
+    return warnings
 
 
 def require_place(folder: Path) -> None:

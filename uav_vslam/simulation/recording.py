@@ -24,7 +24,7 @@ def record(
     coding: ImageCoding | None = None,
     storage: str = "mcap",
     zstd: bool = False,
-    on_frame: Callable[[], None] | None = None,
+    on_frame: Callable[[], None] = lambda: None,
 ) -> None:
     """Simulate a whole fleet into one bag.
 

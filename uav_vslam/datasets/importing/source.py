@@ -40,8 +40,8 @@ class Source:
 
 
 def write_source(
-    source: Source, out: Path, *, storage: str = "mcap", zstd: bool = False, on_frame: Callable[[], None] | None = None
-) -> Path | None:
+    source: Source, out: Path, *, storage: str = "mcap", zstd: bool = False, on_frame: Callable[[], None] = lambda: None
+) -> tuple[int, Path | None]:
     """Record a data set, and write OUT.yaml unless it is there.
 
     A data set of which no image pair can be read makes no recording.
@@ -54,24 +54,16 @@ def write_source(
         on_frame: called after each image pair, for a progress bar.
 
     Returns:
-        The configuration file, None if the graph can't run the recording.
+        How many image pairs were recorded, and the configuration file, None if the graph can't run the recording.
 
     Raises:
         BagError: `out` exists or can't be made, or no image pair can be read.
     """
-    written = 0
-
-    def counted() -> None:
-        nonlocal written
-        written += 1
-        if on_frame is not None:
-            on_frame()
-
     with unfinished(out) as folder:
-        write_flights(folder, [source.flight], storage=storage, zstd=zstd, on_frame=counted)
+        written = write_flights(folder, [source.flight], storage=storage, zstd=zstd, on_frame=on_frame)
         if not written:
             raise BagError(f"{out}: not made, as none of {source.frame_count} image pairs can be read")
-    return write_configuration(source, out) if source.runnable else None
+    return written, (write_configuration(source, out) if source.runnable else None)
 
 
 def configuration_file(out: Path) -> Path:
