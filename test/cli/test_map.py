@@ -91,7 +91,9 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
     options = ["--bags", str(bag), "--vehicles", "uav2", "--cell", "1", "--pixel", "0.3"]
     options += ["--datum=-28.2325,153.0012,20", "--yaw", "30"]
     axes: list[str] = []
-    monkeypatch.setattr("uav_vslam.report.style.save", lambda drawn, _: axes.append(drawn.axes[0].get_ylabel()))
+    monkeypatch.setattr(
+        "uav_vslam.report.height_picture.save", lambda drawn, _: axes.append(drawn.axes[0].get_ylabel())
+    )
     assert main(["map", str(result), *options]) == 0
     assert axes == ["y [m]", "y [m]"]  # not north
     tree = json.loads((result / "map/map.json").read_text())

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from uav_vslam.argument_types import positive_number
 from uav_vslam.cli.arguments import RESULTS, add_datum, datum_of, first_given
@@ -16,8 +16,6 @@ from uav_vslam.cli.run import SHEET, add_options, flown
 if TYPE_CHECKING:
     from uav_vslam.cli.map_inputs import MappedFlight
     from uav_vslam.evaluation.files.geodetic import Datum
-    from uav_vslam.mapping.overlap import Overlap
-    from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
 
 FOLDER = "map"
@@ -137,6 +135,7 @@ def write_map(
     from uav_vslam.mapping.surface.mapper import FEW_MATCHES, SMALL_CELLS, SurfaceMapper
     from uav_vslam.mapping.surface.tiles import TILES
     from uav_vslam.mapping.surface_files import FIGURES, write_surface
+    from uav_vslam.report.height_picture import draw_ground, frame_of
     from uav_vslam.report.map_table import print_map
 
     grid, overlap = HeightGrid(cell_m, folder / TILES), Overlap()
@@ -152,7 +151,9 @@ def write_map(
         for vehicle, share in tree.pop("shares").items():
             tree["vehicles"][vehicle]["share"] = share
     write_json(folder / FIGURES, tree)
-    _draw(grid, overlap, folder, turned=datum is not None and datum.yaw_deg != 0.0)
+    extent, counts = overlap.count(grid)
+    frame = frame_of(north=datum is None or datum.yaw_deg == 0.0)
+    draw_ground(grid.height(extent), counts, extent.bounds_m, frame, folder)
     print_map(tree, _times_ms(mapper))
     if mapper.least_cell_m:
         count, least_m = mapper.refused[SMALL_CELLS], mapper.least_cell_m
@@ -166,18 +167,3 @@ def _times_ms(mapper: SurfaceMapper) -> dict[str, float]:
     """Return the processor time of each stage for a frame flown [ms]."""
     frames = max(sum(mapper.views.values()), 1)
     return {stage: 1e3 * seconds / frames for stage, seconds in mapper.seconds.items()}
-
-
-def _draw(grid: HeightGrid, overlap: Overlap, folder: Path, *, turned: bool) -> None:
-    from uav_vslam.report.height_picture import MAP, TURNED, height_picture, overlap_picture
-    from uav_vslam.report.style import save
-
-    extent, count = overlap.count(grid)
-    frame = TURNED if turned else MAP
-    figures: dict[str, Any] = {
-        "height.png": height_picture(grid.height(extent), extent.bounds_m, frame),
-        "overlap.png": overlap_picture(count, extent.bounds_m, frame),
-    }
-    for name, figure in figures.items():
-        if figure is not None:
-            save(figure, folder / name)

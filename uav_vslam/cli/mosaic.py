@@ -125,17 +125,21 @@ def _chained(folder: Folder, args: argparse.Namespace) -> int:
 
 def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, results: Path) -> dict[str, Any]:
     """Draw the mosaic and write everything; return the figures of quality."""
+    import numpy as np
+
     from uav_vslam.evaluation.files.writing import write_json
     from uav_vslam.mapping.pictures import output
     from uav_vslam.mapping.pictures.drawing import PASSES, draw
-    from uav_vslam.report.mosaic_plots import draw_ground, frame_of
+    from uav_vslam.report.height_picture import draw_ground, frame_of
+    from uav_vslam.report.mosaic_table import unit_of
 
     folder = results / "map"
     folder.mkdir()
     counts = output.overlap_counts(found)
     overlap = output.overlap_figures(counts, found.surface.raster.cell_m)
-    frame = frame_of(found.placement.scale, north=found.placement.datum is not None)
-    draw_ground(found.surface.grid, counts, found.surface.raster.bounds_m, frame, folder)
+    frame = frame_of(north=found.placement.datum is not None, unit=unit_of(found.placement.scale))
+    height = np.where(counts > 0, found.surface.grid, np.nan)
+    draw_ground(height, counts, found.surface.raster.bounds_m, frame, folder, label="Pictures")
     pixel_m = pixel_m or output.pixel_size_m(found.gsd_m, overlap["area_m2"], MOST_PIXELS)
     with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
         drawn = draw(found, counts, pixel_m, folder, on_view=advance)

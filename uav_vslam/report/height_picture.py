@@ -2,6 +2,7 @@
 """Pictures of a map for people: the height as shaded relief, and how many views show each place."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+
+from uav_vslam.report.style import save
 
 Bounds = tuple[float, float, float, float]  # west, south, east, north [m]
 
@@ -32,12 +35,42 @@ SCALE_BAR_SHARE = 0.25  # of the width, at most
 class Frame:
     """Names of the axes, and their unit."""
 
-    x: str = "East"
-    y: str = "North"
-    unit: str = "m"
+    x: str
+    y: str
+    unit: str
 
 
-MAP, TURNED = Frame(), Frame("x", "y")
+def frame_of(*, north: bool, unit: str = "m") -> Frame:
+    """Return the axes of a map with a unit of length, whose y axis points north or somewhere else."""
+    return Frame(*(("East", "North") if north else ("x", "y")), unit)
+
+
+def draw_ground(
+    height: NDArray[np.floating],
+    counts: NDArray[np.integer],
+    bounds: Bounds,
+    frame: Frame,
+    folder: Path,
+    *,
+    label: str = "Views",
+) -> None:
+    """Draw height.png and overlap.png into a folder.
+
+    Args:
+        height: (rows, columns) of the surface, south first; NaN where it is unknown.
+        counts: views that show each cell.
+        bounds: west, south, east, north.
+        frame: of the map.
+        folder: that of the map.
+        label: what is counted.
+    """
+    figures = {
+        "height.png": height_picture(height, bounds, frame),
+        "overlap.png": overlap_picture(counts, bounds, frame, label=label),
+    }
+    for name, figure in figures.items():
+        if figure is not None:
+            save(figure, folder / name)
 
 
 def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame) -> Figure | None:
@@ -59,9 +92,7 @@ def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame)
     return figure
 
 
-def overlap_picture(
-    count: NDArray[np.integer], bounds_m: Bounds, frame: Frame, *, label: str = "Views"
-) -> Figure | None:
+def overlap_picture(count: NDArray[np.integer], bounds_m: Bounds, frame: Frame, *, label: str) -> Figure | None:
     """Return the number of views of each cell, (rows, columns), south first; None if there are no views."""
     count, bounds_m = _thinned(count, bounds_m)
     if count.size == 0 or not count.any():

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of a mosaic name directions and units only as far as they are known."""
+"""Pictures of a map name directions and units only as far as they are known."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from uav_vslam.report.height_picture import MOST_CELLS, height_picture, overlap_picture
-from uav_vslam.report.mosaic_plots import draw_ground, frame_of
+from uav_vslam.report.height_picture import MOST_CELLS, draw_ground, frame_of, height_picture, overlap_picture
+from uav_vslam.report.mosaic_table import unit_of
 
 BOUNDS = (-10.0, -5.0, 10.0, 5.0)
 HEIGHT = np.add.outer(np.arange(10.0), np.arange(20.0))
@@ -23,7 +23,7 @@ HEIGHT = np.add.outer(np.arange(10.0), np.arange(20.0))
     ],
 )
 def test_axes_are_named_as_far_as_they_are_known(scale: str, north: bool, x: str, unit: str) -> None:
-    figure = height_picture(HEIGHT, BOUNDS, frame_of(scale, north=north))
+    figure = height_picture(HEIGHT, BOUNDS, frame_of(north=north, unit=unit_of(scale)))
     assert figure is not None
     ground, colours = figure.axes
     assert (ground.get_xlabel(), colours.get_ylabel()) == (f"{x} [{unit}]", f"Height [{unit}]")
@@ -33,9 +33,8 @@ def test_axes_are_named_as_far_as_they_are_known(scale: str, north: bool, x: str
 
 
 def test_numbers_of_pictures_have_a_scale_of_colours() -> None:
-    figure = overlap_picture(
-        np.arange(200).reshape(10, 20) // 100 + 1, BOUNDS, frame_of("none", north=False), label="Pictures"
-    )
+    counts = np.arange(200).reshape(10, 20) // 100 + 1
+    figure = overlap_picture(counts, BOUNDS, frame_of(north=False), label="Pictures")
     assert figure is not None
     colours = figure.axes[1]
     assert colours.get_ylabel() == "Pictures"
@@ -45,9 +44,8 @@ def test_numbers_of_pictures_have_a_scale_of_colours() -> None:
 def test_a_large_map_is_drawn_with_as_many_cells_as_the_figure_shows() -> None:
     height = np.zeros((MOST_CELLS + 1, 3 * MOST_CELLS - 100), np.float32)
     height[:, :1000] = np.nan
-    figure = height_picture(
-        height, (0.0, 0.0, 0.5 * height.shape[1], 0.5 * height.shape[0]), frame_of("gps", north=True)
-    )
+    bounds = (0.0, 0.0, 0.5 * height.shape[1], 0.5 * height.shape[0])
+    figure = height_picture(height, bounds, frame_of(north=True))
     assert figure is not None
     (drawn,) = figure.axes[0].images
     assert drawn.get_array().shape[:2] == (-(-height.shape[0] // 3), -(-height.shape[1] // 3))
@@ -59,5 +57,5 @@ def test_a_large_map_is_drawn_with_as_many_cells_as_the_figure_shows() -> None:
 
 
 def test_both_are_drawn_into_the_folder(tmp_path: Path) -> None:
-    draw_ground(HEIGHT, np.ones(HEIGHT.shape, np.uint16), BOUNDS, frame_of("gps", north=True), tmp_path)
+    draw_ground(HEIGHT, np.ones(HEIGHT.shape, np.uint16), BOUNDS, frame_of(north=True), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"height.png", "overlap.png"}
