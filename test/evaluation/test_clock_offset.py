@@ -29,7 +29,7 @@ def test_an_offset_of_the_clock_is_found(survey, perturbed, offset_s):
     assert found.offset_s == pytest.approx(offset_s, abs=0.01)
     right = absolute_error(estimate, survey, alignment="se3")
     assert found.moved_ate_m == pytest.approx(right.ate_m, rel=0.02)
-    assert f"--truth-offset {found.offset_s:.3f}" in str(found)
+    assert f"--truth-offset {found.offset_s:.3f}" in found.text()
     assert "--truth-offset 0.000" in found.text(-found.offset_s - 1e-4)
 
 

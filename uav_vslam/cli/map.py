@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from uav_vslam.evaluation.files.geodetic import Datum
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
 
-FOLDER = "map"
 HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
 EXAMPLES = """examples:
   uav-vslam map flight --config kagaru                fly, smooth, map; the map goes to RESULT/map/
@@ -77,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.cli.map_inputs import is_result, mapped_flights
     from uav_vslam.datasets.unfinished import require_new, unfinished
     from uav_vslam.errors import ConfigError, UavVslamError
+    from uav_vslam.report.page.map_folder import MAP
     from uav_vslam.report.page.page import write_page
 
     if args.yaw is not None and args.datum is None:
@@ -93,14 +93,15 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{folder} is a results folder, of a flight that has been run: {given} has no effect")
     else:
         folder = folder.resolve()  # results/latest may lead elsewhere before the map is done
-    if (folder / FOLDER).exists():
-        raise UavVslamError(f"{folder / FOLDER} exists already; move it away to map this flight again")
+    out = folder / MAP
+    if out.exists():
+        raise UavVslamError(f"{out} exists already; move it away to map this flight again")
     flights = mapped_flights(folder, args.bags, args.vehicles)
-    warn_each(require_new(folder / FOLDER))
+    warn_each(require_new(out))
     cv2.setNumThreads(1)
-    with unfinished(folder / FOLDER) as partial:
+    with unfinished(out) as partial:
         cells = write_map(flights, partial, args.cell, args.pixel, datum)
-    print(f"map: {folder / FOLDER}")
+    print(f"map: {out}")
     if not args.no_plots:
         print(f"page: {write_page([folder])}")
     if cells == 0:

@@ -13,6 +13,7 @@ from uav_vslam.cli.messages import warn
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import read_results
+from uav_vslam.evaluation.output import CONFIG, SUMMARY
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.anchoring import anchored
 from uav_vslam.mapping.flight_views import flight_views
@@ -20,8 +21,6 @@ from uav_vslam.mapping.flight_views import flight_views
 if TYPE_CHECKING:
     from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.mapping.view import View
-
-SUMMARY, CONFIG = "summary.json", "config.yaml"
 
 
 @dataclass(frozen=True, slots=True)

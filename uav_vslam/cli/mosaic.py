@@ -112,13 +112,14 @@ def _chained(folder: Folder, args: argparse.Namespace) -> int:
     """Draw the baseline; return the exit status."""
     from uav_vslam.evaluation.output import new_folder
     from uav_vslam.mapping.pictures.chain import draw_chain
+    from uav_vslam.report.page.map_folder import MAP
 
     with (
         progress_bar("joining", 2 * len(folder.pictures)) as advance,
         new_folder(args.results, args.name or f"{args.folder.resolve().name}_chain") as results,
     ):
-        (results / "map").mkdir()
-        path = draw_chain(folder.pictures, args.pixel or 1.0, results / "map", on_picture=advance)
+        (results / MAP).mkdir()
+        path = draw_chain(folder.pictures, args.pixel or 1.0, results / MAP, on_picture=advance)
     print(f"results: {results}, {path.name} in pixels of the first picture")
     return 0
 
@@ -132,8 +133,10 @@ def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, re
     from uav_vslam.mapping.pictures.drawing import PASSES, draw
     from uav_vslam.report.height_picture import draw_ground, frame_of
     from uav_vslam.report.mosaic_table import unit_of
+    from uav_vslam.report.page.map_folder import MAP
+    from uav_vslam.report.page.mosaic_page import MOSAIC, POSES
 
-    folder = results / "map"
+    folder = results / MAP
     folder.mkdir()
     counts = output.overlap_counts(found)
     overlap = output.overlap_figures(counts, found.surface.raster.cell_m)
@@ -144,7 +147,7 @@ def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, re
     with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
         drawn = draw(found, counts, pixel_m, folder, on_view=advance)
     figures = output.quality(found) | {"overlap": overlap, "warnings": warnings} | drawn
-    output.write_poses(found, results / "poses.csv", unit=frame.unit)
+    output.write_poses(found, results / POSES, unit=frame.unit)
     write_json(results / "cameras.json", figures["cameras"])
-    write_json(results / "mosaic.json", figures)
+    write_json(results / MOSAIC, figures)
     return figures

@@ -32,9 +32,6 @@ class ClockOffset:
     ate_m: float
     moved_ate_m: float
 
-    def __str__(self) -> str:
-        return self.text()
-
     def text(self, given_s: float = 0.0) -> str:
         """Return what was found and what to give, if `given_s` [s] were added to the stamps already."""
         return (

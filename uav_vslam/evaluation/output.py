@@ -25,6 +25,7 @@ Plotter = Callable[[FlightResult, Path], list[Path]]
 StudyPlotter = Callable[[dict[str, Any], Path], list[Path]]
 FolderPlotter = Callable[[Path], Path]
 
+SUMMARY, CONFIG, STUDY = "summary.json", "config.yaml", "study.json"
 LATEST = "latest"
 NO_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS)  # of FAT, of a network, of FUSE
 ALL_TRACKS = ("truth", *TRACKS)
@@ -44,9 +45,9 @@ def write_results(result: FlightResult, root: Path, *, plot: Plotter | None = No
         The new folder.
     """
     with new_folder(root, result.name) as folder:
-        write_json(folder / "summary.json", build_summary(result, git=git_revision(), alignment=alignment))
+        write_json(folder / SUMMARY, build_summary(result, git=git_revision(), alignment=alignment))
         config = yaml.safe_dump(result.config, sort_keys=False)
-        (folder / "config.yaml").write_text(config, encoding="utf-8")
+        (folder / CONFIG).write_text(config, encoding="utf-8")
         _write_vehicles(result, folder)
         if plot is not None:
             plot(result, folder)
@@ -65,7 +66,7 @@ def write_study(tree: dict[str, Any], root: Path, *, plot: StudyPlotter | None =
         The new folder.
     """
     with new_folder(root, tree["study"]) as folder:
-        write_json(folder / "study.json", tree)
+        write_json(folder / STUDY, tree)
         (folder / "study.md").write_text(study_markdown(tree), encoding="utf-8")
         if plot is not None:
             plot(tree, folder)

@@ -27,7 +27,7 @@ def print_summary(summary: Figures, console: Console | None = None) -> None:
     for name, vehicle in summary["vehicles"].items():
         lines = quality_lines(vehicle)
         if offset := vehicle["clock_offset"]:
-            lines.append(str(ClockOffset(**offset)))
+            lines.append(ClockOffset(**offset).text())
         for line in (link_line(name, vehicle, summary["mode"]), *(f"  {line}" for line in lines)):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -12,6 +12,7 @@ import yaml
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import Tracks, read_results
 from uav_vslam.evaluation.files.tables import Columns, read_columns
+from uav_vslam.evaluation.output import CONFIG, SUMMARY
 from uav_vslam.types import NS_PER_S
 
 Figures = dict[str, Any]
@@ -78,21 +79,15 @@ def read_flight(folder: Path, label: str) -> FlightFiles:
     Raises:
         UavVslamError: the folder holds no flight, or a file is damaged.
     """
-    summary = read_json(folder / "summary.json")
+    summary = read_json(folder / SUMMARY)
     vehicles_of = summary.get("vehicles")
     if not isinstance(vehicles_of, dict) or not all(isinstance(figures, dict) for figures in vehicles_of.values()):
-        raise UavVslamError(
-            f"{folder / 'summary.json'} lists no vehicles; name the results of a flight, a study or a mosaic"
-        )
+        raise UavVslamError(f"{folder / SUMMARY} lists no vehicles; name the results of a flight, a study or a mosaic")
     tracks = read_results(folder)
     vehicles = {name: VehicleFiles(name, tracks.get(name, {}), _tables(folder, name), folder) for name in vehicles_of}
-    firsts = [
-        int(track.stamps_ns[0])
-        for vehicle in vehicles.values()
-        for name, track in vehicle.tracks.items()
-        if name == "s_slam"
-    ]
-    return FlightFiles(label, folder, summary, _config(folder / "config.yaml"), vehicles, min(firsts, default=0))
+    own_only = [vehicle.tracks["s_slam"] for vehicle in vehicles.values() if "s_slam" in vehicle.tracks]
+    start_ns = min((int(track.stamps_ns[0]) for track in own_only), default=0)
+    return FlightFiles(label, folder, summary, _config(folder / CONFIG), vehicles, start_ns)
 
 
 def read_json(path: Path) -> Figures:

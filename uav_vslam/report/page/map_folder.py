@@ -89,19 +89,20 @@ def _section(flight: FlightFiles, picture_bytes: int, model_bytes: int, *, sever
             table(["Vehicle", "Views", "Share"], vehicles, caption="Views per vehicle") if vehicles else None,
             class_="cells",
         ),
-        _picture(folder, ORTHOMOSAICS, f"Orthomosaic, {axes}", round(SHARES["orthomosaic"] * picture_bytes)),
+        picture_of(folder, ORTHOMOSAICS, f"Orthomosaic, {axes}", round(SHARES["orthomosaic"] * picture_bytes)),
         _model(folder / MODEL, model_bytes),
         tag(
             "div",
-            _picture(folder, ("height.png",), "Height map", round(SHARES["height"] * picture_bytes)),
-            _picture(folder, ("overlap.png",), "Views per cell", round(SHARES["overlap"] * picture_bytes)),
+            picture_of(folder, ("height.png",), "Height map", round(SHARES["height"] * picture_bytes)),
+            picture_of(folder, ("overlap.png",), "Views per cell", round(SHARES["overlap"] * picture_bytes)),
             class_="cells",
         ),
         text=f"Frame: {summary.get('frame', 'map')}{_datum(summary.get('datum'))}.",
     )
 
 
-def _picture(folder: Path, names: Sequence[str], text: str, most_bytes: int) -> Markup | None:
+def picture_of(folder: Path, names: Sequence[str], text: str, most_bytes: int) -> Markup | None:
+    """Return the first of some pictures that is there, as a figure; None without any."""
     path = next((folder / name for name in names if (folder / name).exists()), None)
     return None if path is None else figure(photograph(path, most_bytes), text)
 

@@ -10,8 +10,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.report.mosaic_table import rows, unit_of
 from uav_vslam.report.page.flight import read_json
 from uav_vslam.report.page.html import Markup, section, table, tag
-from uav_vslam.report.page.map_folder import MAP, ORTHOMOSAICS
-from uav_vslam.report.page.pictures import figure, photograph
+from uav_vslam.report.page.map_folder import MAP, ORTHOMOSAICS, picture_of
 
 MOSAIC, POSES = "mosaic.json", "poses.csv"
 PICTURE_BYTES = {"orthomosaic": 3_000_000, "height": 400_000, "overlap": 400_000}
@@ -56,10 +55,7 @@ def _frame(tree: dict[str, Any]) -> str:
 
 
 def _picture(folder: Path, names: Sequence[str], text: str, most_bytes: int) -> Markup:
-    path = next((folder / name for name in names if (folder / name).exists()), None)
-    if path is None:
-        return tag("p", f"{folder.name}/{names[0]} is missing.")
-    return figure(photograph(path, most_bytes), text)
+    return picture_of(folder, names, text, most_bytes) or tag("p", f"{folder.name}/{names[0]} is missing.")
 
 
 def _warnings(tree: dict[str, Any]) -> Markup | None:

@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 
+from uav_vslam.evaluation.quality import CONSERVATIVE, CONSISTENT, OVER_CONFIDENT
 from uav_vslam.evaluation.summary import TRACK_NAMES, TRACKS
 from uav_vslam.report.layout import RELATIVE_TITLES, figure_text
 from uav_vslam.report.page.flight import Figures, FlightFiles
@@ -10,7 +11,7 @@ from uav_vslam.report.page.html import Cell, Markup, joined, section, table, tag
 from uav_vslam.report.quality_lines import quality_lines
 from uav_vslam.report.table import CLAIMS, is_scored, link_line, score_titles
 
-VERDICTS = {"over-confident": "bad", "conservative": "fair", "consistent": "good"}
+VERDICTS = {OVER_CONFIDENT: "bad", CONSERVATIVE: "fair", CONSISTENT: "good"}
 
 
 def score_section(flights: Sequence[FlightFiles]) -> Markup:

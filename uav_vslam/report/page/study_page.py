@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.output import STUDY
 from uav_vslam.evaluation.study import Row, tables_of
 from uav_vslam.report.page.flight import read_json
 from uav_vslam.report.page.html import Cell, Markup, section, table, tag
 from uav_vslam.report.page.pictures import drawing, figure
 
-STUDY = "study.json"
 PICTURE_BYTES = 5_000_000  # of all pictures
 
 
