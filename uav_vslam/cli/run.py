@@ -29,7 +29,7 @@ SHEET = 12  # images of the contact sheet
 FIRST_FRAMES = 20  # that show how far apart the stamps of a pair are
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
-  uav-vslam run config/fleet_demo.yaml                a fleet file: vehicles, configurations, recordings
+  uav-vslam run config/fleet_demo.yaml           a fleet file: vehicles, configurations, recordings
   uav-vslam run flight --config kagaru           every vehicle of a bag, one configuration for all
   uav-vslam run flight --config kagaru --vehicles uav2 --map results/latest/uav1_map.npz     start in an earlier map
   uav-vslam run v101 --config euroc --set backend.sigma_px=0.8

@@ -9,9 +9,8 @@ from uav_vslam.errors import UavVslamError
 
 VEHICLES = 2
 MIN_OVERLAP = 0.25
-WITHIN_S = (
-    10.0  # a landmark that one vehicle shows now is soon out of the other's view, and its map is thinned out there
-)
+# A landmark that one vehicle shows now is soon out of the other's view, and its map is thinned out there.
+WITHIN_S = 10.0
 LONGEST_S = 1e6  # any recording is shorter
 FORM = "legs must look like 0-60,75-130: start and end in seconds since the first image, two or more"
 BY_HAND = ("vehicles", "duration", "overlap")  # what legs by hand leave nothing to say about

@@ -12,9 +12,12 @@ tracks       one ground point in many pictures
 lens         focal length, principal point and radial distortion of pictures from one camera
 bundle       least squares over poses, points and lenses
 procedure    adjustment in rounds: outliers out, lost pictures in
-datum        the result's frame: levelled by the ground, scaled and placed by GPS if that agrees
+gps_positions  where the pictures were taken by GPS, in metres
+robust_fits  a plane through points and a similarity between points, in spite of outliers
+placement    the result's frame: levelled by the ground, scaled and placed by GPS if that agrees
 surface      height of the ground from the points
 densification  all matched points, intersected from the adjusted poses
+raw_values   which values of 16-bit images are black and white
 views        undistorted images with their poses, as all mapping takes them
 overlap      how many pictures see each place
 reconstruction  from matched pairs to poses, surface and warnings

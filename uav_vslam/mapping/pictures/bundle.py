@@ -137,9 +137,9 @@ class Bundle:
     def lens_uncertainties(self, scene: Scene) -> tuple[Array, Array]:
         """Return two (G, 5) standard deviations of an adjusted scene's lenses, by pictures and priors, in any frame.
 
-        One for independent errors, whose variance the residuals show after the degrees of freedom that
-        the fit took; one for errors that are one within a picture, as an incomplete lens or a bent image makes them
-        (a sandwich estimator with pictures as clusters [liang86]).
+        One for independent errors, whose variance the residuals show after the degrees of freedom that the fit took;
+        one for errors that are the same within a picture, as an incomplete lens or a bent image makes them (a sandwich
+        estimator with pictures as clusters [liang86]).
         """
         normal = self._normal(scene)
         V_inverse = _inverse(normal.V)

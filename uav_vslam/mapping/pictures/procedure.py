@@ -3,8 +3,7 @@
 
 Every picture starts level, at the height that its scale in the layout means. Rounds with ever tighter robust kernels
 drop false observations. The lenses are free from the start: a wrong one would bend a long strip first, and the way back
-is long. A picture that does not fit is placed anew by its points (PnP), and
-left out if that fails.
+is long. A picture that does not fit is placed anew by its points (PnP), and left out if that fails.
 """
 
 from collections.abc import Sequence

@@ -2,8 +2,8 @@
 """A folder's pictures in the order of time, and the table of positions that may lie beside them.
 
 `gps.csv` has a header and one row a picture. Columns: `file`; `lat_deg`, `lon_deg` (WGS 84, degrees); `alt_m` [m]; and
-optionally `datetime` as in EXIF, "2014:10:19 13:21:23". It takes precedence over EXIF;
-latitude and longitude 0 stand for no position.
+optionally `datetime` as in EXIF, "2014:10:19 13:21:23". It takes precedence over EXIF; latitude and longitude 0 stand
+for no position.
 """
 
 import csv
