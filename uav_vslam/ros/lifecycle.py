@@ -91,13 +91,15 @@ class PausableNode(LifecycleNode):
             successful=False, reason=f"the node is {self.paused} and follows no setting: {REMEDIES[self.paused]}"
         )
 
+    def _pause_text(self) -> str:
+        return f"the node is {self.paused} and ignores messages: {REMEDIES[self.paused]}"
+
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             self.reset()
             response.success, response.message = self.paused != FINALIZED, "started again"
             if self.paused:
-                state = f"{self.paused} and ignores messages: {REMEDIES[self.paused]}"
-                response.message = f"flight forgotten, but the node is {state}"
+                response.message = f"flight forgotten, but {self._pause_text()}"
             self.get_logger().warning(f"reset: {response.message}")
         except (UavVslamError, OSError) as error:
             response.success, response.message = False, str(error)
@@ -118,8 +120,7 @@ class PausableNode(LifecycleNode):
         number, _ = self._state_machine.current_state
         wanted = State.PRIMARY_STATE_INACTIVE if request.data else State.PRIMARY_STATE_ACTIVE
         if number not in (State.PRIMARY_STATE_INACTIVE, State.PRIMARY_STATE_ACTIVE):
-            response.success = False
-            response.message = f"the node is {self.paused} and ignores messages: {REMEDIES[self.paused]}"
+            response.success, response.message = False, self._pause_text()
             return response
         if number != wanted:
             (self.trigger_deactivate if request.data else self.trigger_activate)()
