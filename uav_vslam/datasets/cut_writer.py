@@ -20,7 +20,7 @@ from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.cutting import CutVehicle
-from uav_vslam.datasets.flight_writer import record_message
+from uav_vslam.datasets.flight_writer import camera_edges, record_message
 from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.message_builders import (
     camera_info_message,
@@ -98,13 +98,12 @@ def _write_all(
 
 
 def _transforms(flight: BagFlight, vehicles: Sequence[CutVehicle], stamp_ns: int) -> Any:
-    rig, edges = flight.rig, []
+    edges = []
     for vehicle in vehicles:
-        base = f"{vehicle.name}/base_link"
-        edges.append((base, f"{vehicle.name}/left_optical", rig.T_body_left))
-        edges.append((base, f"{vehicle.name}/right_optical", rig.T_body_right))
-        if _imu_frame(flight, vehicle) != base:
-            edges.append((base, _imu_frame(flight, vehicle), flight.T_body_imu))
+        edges += camera_edges(vehicle.name, flight.rig)
+        base, imu = f"{vehicle.name}/base_link", _imu_frame(flight, vehicle)
+        if imu != base:
+            edges.append((base, imu, flight.T_body_imu))
     return transforms_message(stamp_ns, edges)
 
 

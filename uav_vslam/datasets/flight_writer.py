@@ -26,6 +26,7 @@ from uav_vslam.datasets.message_builders import (
 )
 from uav_vslam.datasets.messages import TruthSample
 from uav_vslam.errors import BagError
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
 
@@ -150,12 +151,14 @@ def record_message(recorder: RawRecorder, topic: str, built: Any, stamp_ns: int)
 
 
 def _transforms(flights: list[FlightRecording], stamp_ns: int) -> Any:
-    edges = []
-    for flight in flights:
-        base = f"{flight.vehicle}/base_link"
-        edges.append((base, f"{flight.vehicle}/left_optical", flight.rig.T_body_left))
-        edges.append((base, f"{flight.vehicle}/right_optical", flight.rig.T_body_right))
+    edges = [edge for flight in flights for edge in camera_edges(flight.vehicle, flight.rig)]
     return transforms_message(stamp_ns, edges)
+
+
+def camera_edges(vehicle: str, rig: StereoRig) -> list[tuple[str, str, Pose]]:
+    """Return the places of both cameras as (parent frame, child frame, T_parent_child)."""
+    base = f"{vehicle}/base_link"
+    return [(base, f"{vehicle}/left_optical", rig.T_body_left), (base, f"{vehicle}/right_optical", rig.T_body_right)]
 
 
 def _events(flight: FlightRecording, coding: ImageCoding) -> Iterator[Event]:

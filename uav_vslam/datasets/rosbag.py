@@ -124,10 +124,7 @@ class UpToDamage(Generic[Item]):
 
 def iter_readable(paths: Sequence[Path], topics: Sequence[str]) -> Iterator[RawMessage]:
     """Yield the readable messages of some topics; damage is ignored, because `iter_raw` reports it at the replay."""
-    try:
-        yield from iter_raw(paths, topics)
-    except BagError:
-        return
+    return iter(UpToDamage(iter_raw(paths, topics)))
 
 
 def require_sqlite_path(path: Path) -> None:

@@ -31,6 +31,7 @@ from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.source import Source
 from uav_vslam.datasets.importing.tables import UNREADABLE, in_range, numbered_lines, numbers, table_of
 from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.evaluation.files.kitti_axes import R_FLU_RDF
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
@@ -41,7 +42,7 @@ Array = NDArray[np.float64]
 
 GREY, COLOUR = (0, 1), (2, 3)  # left and right camera
 RAW_IMAGES = "image_0?/data"  # below a raw drive
-T_FLU_OPTICAL = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+T_FLU_OPTICAL = Pose(R_FLU_RDF, np.zeros(3))
 POSE_GAP_NS = 500_000_000  # poses come at 10 Hz
 SETTINGS = {  # of a car on a road, with a baseline of 0.54 m
     "frontend.min_depth_m": 3.0,

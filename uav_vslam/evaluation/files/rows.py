@@ -75,7 +75,15 @@ class Rows:
         Raises:
             TrajectoryFileError: a stamp is no number, is in no known unit, or does not increase.
         """
-        return increasing([self._stamp(row, seconds=seconds) for row in range(len(self.cells))], self)
+        stamps_ns = np.array([self._stamp(row, seconds=seconds) for row in range(len(self.cells))], np.int64)
+        wrong = np.flatnonzero(np.diff(stamps_ns) <= 0)
+        if len(wrong):
+            row = int(wrong[0]) + 1
+            raise TrajectoryFileError(
+                f"{self.at(row)}: the stamp {self.cells[row][0]} is not after {self.cells[row - 1][0]} of line "
+                f"{self.lines[row - 1]}; sort the lines by time and remove repeated stamps"
+            )
+        return stamps_ns
 
     def _stamp(self, row: int, *, seconds: bool) -> int:
         text = self.cells[row][0]
@@ -118,23 +126,6 @@ def read_rows(path: Path) -> Rows:
     if not cells:
         raise TrajectoryFileError(f"{path} holds no poses; was the run interrupted?")
     return Rows(path, lines, cells, header, commas)
-
-
-def increasing(stamps_ns: list[int], rows: Rows) -> NDArray[np.int64]:
-    """Return the stamps as an array.
-
-    Raises:
-        TrajectoryFileError: a stamp is not after the one before it.
-    """
-    stamps = np.array(stamps_ns, np.int64)
-    wrong = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(wrong):
-        row = int(wrong[0]) + 1
-        raise TrajectoryFileError(
-            f"{rows.at(row)}: the stamp {rows.cells[row][0]} is not after {rows.cells[row - 1][0]} of line "
-            f"{rows.lines[row - 1]}; sort the lines by time and remove repeated stamps"
-        )
-    return stamps
 
 
 def _text(path: Path) -> str:
