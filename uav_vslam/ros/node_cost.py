@@ -16,9 +16,6 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
@@ -28,8 +25,8 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.processes import processor_time_s
 from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg
 from uav_vslam.ros.domain import claimed_domain
-from uav_vslam.ros.log_folder import log_folder
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, SENSOR, STATE
+from uav_vslam.ros.topic_tools import Observer, observer
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 from uav_vslam_msgs.msg import NavigationState
 
@@ -39,7 +36,7 @@ GRAVITY = 9.81
 WARM_UP_S = 3.0
 START_S = 60.0  # limit for the nodes to come up
 BARE = "bare_odometry"
-ODOMETRY = {"ins_propagator": "ins/odometry", BARE: "bare/odometry"}
+ODOMETRY = {"ins_propagator": "/uav1/ins/odometry", BARE: "/uav1/bare/odometry"}
 NODES = (*ODOMETRY, "stereo_frontend", "slam_backend", "fusion")
 
 
@@ -70,7 +67,8 @@ def node_costs(seconds: float) -> Iterator[NodeCost]:
     Raises:
         UavVslamError: a node did not come up, or published nothing.
     """
-    with claimed_domain() as domain_id, _started(domain_id) as processes, _source(domain_id) as source:
+    with claimed_domain() as domain_id, _started(domain_id) as processes, observer(domain_id, "sensors") as node:
+        source = _Source(node)
         source.wait_for_nodes()
         for rate_hz in IMU_RATES_HZ:
             source.play(WARM_UP_S, rate_hz)
@@ -101,12 +99,12 @@ def _odometry_figures(
 class _Source:
     """The sensors of a vehicle at rest, and the listener to both nodes."""
 
-    def __init__(self, node: Node, executor: SingleThreadedExecutor) -> None:
-        self._node, self._executor = node, executor
+    def __init__(self, node: Observer) -> None:
+        self._node = node
         self._sent_s: dict[int, float] = {}  # wall time of each reading, by its stamp
         self.latencies_s: dict[str, list[float]] = {name: [] for name in ODOMETRY}
-        self._imu = node.create_publisher(Imu, "imu/data_raw", SENSOR)
-        self._info = node.create_publisher(CameraInfo, "left/camera_info", STATE)
+        self._imu = node.create_publisher(Imu, "/uav1/imu/data_raw", SENSOR)
+        self._info = node.create_publisher(CameraInfo, "/uav1/left/camera_info", STATE)
         self._latched: list[Any] = []
         for name, topic in ODOMETRY.items():
             node.create_subscription(
@@ -124,7 +122,7 @@ class _Source:
             NavEstimate(state, 1e-4 * np.eye(15)), frame_id="uav1/map", child_frame_id="uav1/base_link"
         )
         edge = transform_to_msg(Pose.identity(), stamp_ns=self._stamp_ns, parent="uav1/base_link", child="uav1/imu")
-        states = self._node.create_publisher(NavigationState, "initial_state", LATCHED)
+        states = self._node.create_publisher(NavigationState, "/uav1/initial_state", LATCHED)
         frames = self._node.create_publisher(TFMessage, "/tf_static", LATCHED_BY_MANY)
         states.publish(start)
         frames.publish(TFMessage(transforms=[edge]))
@@ -132,15 +130,13 @@ class _Source:
 
     def wait_for_nodes(self) -> None:
         """Wait until all nodes are up and take what they need, and the odometry has been found."""
-        end_s = time.monotonic() + START_S
-        topics = [f"/uav1/{topic}" for topic in ODOMETRY.values()]
-        while not self._nodes_are_up() or not all(map(self._node.count_publishers, topics)):
-            if time.monotonic() > end_s:
-                raise UavVslamError(f"the nodes {', '.join(NODES)} did not come up within {START_S:g} s")
-            self._executor.spin_once(timeout_sec=0.05)
+        if not self._node.spin_until(self._nodes_are_up, START_S):
+            raise UavVslamError(f"the nodes {', '.join(NODES)} did not come up within {START_S:g} s")
 
     def _nodes_are_up(self) -> bool:
-        return self._imu.get_subscription_count() >= len(ODOMETRY) and set(NODES) <= set(self._node.get_node_names())
+        node = self._node
+        found = set(NODES) <= set(node.get_node_names()) and all(map(node.count_publishers, ODOMETRY.values()))
+        return found and self._imu.get_subscription_count() >= len(ODOMETRY)
 
     def play(self, seconds: float, rate_hz: int) -> None:
         """Publish readings in real time; none at a rate of 0."""
@@ -154,8 +150,7 @@ class _Source:
         self._spin_until(begin_s + seconds)
 
     def _spin_until(self, due_s: float) -> None:
-        while (left_s := due_s - time.monotonic()) > 0:
-            self._executor.spin_once(timeout_sec=left_s)
+        self._node.spin_until(lambda: False, due_s - time.monotonic())
 
     def _publish(self) -> None:
         reading = Imu(header=header(self._stamp_ns, "uav1/imu"))
@@ -170,21 +165,6 @@ class _Source:
         sent_s = self._sent_s.get(header_stamp_ns(data))
         if sent_s is not None:
             self.latencies_s[name].append(time.monotonic() - sent_s)
-
-
-@contextmanager
-def _source(domain_id: int) -> Iterator[_Source]:
-    context = Context()
-    with log_folder():
-        context.init(args=[], domain_id=domain_id)
-    node, executor = Node("sensors", context=context, namespace="/uav1"), SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        yield _Source(node, executor)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
 
 
 @contextmanager

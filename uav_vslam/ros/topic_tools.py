@@ -36,9 +36,10 @@ class Observer(Node):
         """Spin until a condition holds; return whether it did before the timeout."""
         end_s = time.monotonic() + timeout_s
         while not done():
-            if time.monotonic() >= end_s:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
                 return False
-            self._executor.spin_once(timeout_sec=SPIN_S)
+            self._executor.spin_once(timeout_sec=min(SPIN_S, left_s))
         return True
 
 
