@@ -67,6 +67,12 @@ class Raster:
         xy = np.asarray(points, dtype=float) / self.cell_m - 0.5
         return xy[..., 1] - self.row, xy[..., 0] - self.column
 
+    def under(self, other: "Raster") -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return fractional (columns, rows) of this window below the centres of another's cells, for `cv2.remap`."""
+        column, row = (one / self.cell_m - 0.5 - first for one, first in ((other.x, self.column), (other.y, self.row)))
+        map_x, map_y = np.meshgrid(column.astype(np.float32), row.astype(np.float32))
+        return map_x, map_y
+
     def intersection(self, other: "Raster") -> "Raster":
         """Return the common window of two of the same grid; empty (0 cells) if there is none."""
         column, row = max(self.column, other.column), max(self.row, other.row)

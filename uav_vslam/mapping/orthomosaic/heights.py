@@ -46,16 +46,9 @@ class GridHeights:
         own = Raster.covering([[west - cell, south - cell], [east + cell, north + cell]], cell)
         heights = self._grid.height(own)
         known = np.isfinite(heights)
-        row, _ = own.index(np.stack([np.zeros(raster.rows), raster.y], axis=1))
-        _, column = own.index(np.stack([raster.x, np.zeros(raster.columns)], axis=1))
-        weights = _at(known.astype(np.float32), row, column, cv2.INTER_LINEAR)
-        total = _at(np.where(known, heights, np.float32(0.0)), row, column, cv2.INTER_LINEAR)
-        nearest = _at(known.astype(np.float32), row, column, cv2.INTER_NEAREST) > 0
+        at, border = own.under(raster), cv2.BORDER_REPLICATE
+        weights = cv2.remap(known.astype(np.float32), *at, cv2.INTER_LINEAR, borderMode=border)
+        total = cv2.remap(np.where(known, heights, np.float32(0.0)), *at, cv2.INTER_LINEAR, borderMode=border)
+        nearest = cv2.remap(known.astype(np.float32), *at, cv2.INTER_NEAREST, borderMode=border) > 0
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(nearest & (weights > 0), total / weights, np.float32(np.nan))
-
-
-def _at(values: Real, row: NDArray[np.float64], column: NDArray[np.float64], method: int) -> Real:
-    """Return values at all pairs of fractional rows and columns."""
-    map_x, map_y = np.meshgrid(column.astype(np.float32), row.astype(np.float32))
-    return np.asarray(cv2.remap(values, map_x, map_y, method, borderMode=cv2.BORDER_REPLICATE))

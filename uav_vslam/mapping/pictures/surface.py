@@ -51,14 +51,8 @@ class PointSurface:
 
     def height(self, raster: Raster) -> NDArray[np.float32]:
         """Return (rows, columns) heights at the centres of a window's cells; NaN beyond the surface's own window."""
-        row, _ = self.raster.index(np.column_stack([np.zeros(raster.rows), raster.y]))
-        _, column = self.raster.index(np.column_stack([raster.x, np.zeros(raster.columns)]))
-        map_x, map_y = np.meshgrid(column.astype(np.float32), row.astype(np.float32))
-        return np.asarray(
-            cv2.remap(
-                self.grid, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
-            )
-        )
+        at, border = self.raster.under(raster), cv2.BORDER_CONSTANT
+        return np.asarray(cv2.remap(self.grid, *at, cv2.INTER_LINEAR, borderMode=border, borderValue=float("nan")))
 
 
 def without_outliers(points: Array) -> Array:
