@@ -30,8 +30,11 @@ def test_a_folder_that_is_none_of_a_sequence_is_refused(tmp_path: Path, capsys: 
     assert "has no folder cam0; give the sequence's mav0 folder" in capsys.readouterr().err
 
 
-def test_compression_that_the_storage_lacks_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["import", "euroc", str(tmp_path), str(tmp_path / "out"), "--zstd", "--storage", "sqlite3"]) == 2
+@pytest.mark.parametrize("verb", [["import", "euroc", "."], ["simulate"]])
+def test_compression_that_the_storage_lacks_is_refused(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*verb, str(tmp_path / "out"), "--zstd", "--storage", "sqlite3"]) == 2
     assert "--zstd compresses mcap files" in capsys.readouterr().err
 
 

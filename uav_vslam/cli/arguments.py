@@ -22,6 +22,24 @@ def first_given(options: Mapping[str, object]) -> str:
     return next((name for name, value in options.items() if value), "")
 
 
+def add_storage(parser: argparse.ArgumentParser) -> None:
+    """Declare how a bag is stored."""
+    parser.add_argument("--storage", default="mcap", choices=["mcap", "sqlite3"], help="bag format (default mcap)")
+    parser.add_argument("--zstd", action="store_true", help="compress the mcap file's chunks")
+
+
+def check_storage(args: argparse.Namespace) -> None:
+    """Refuse what the storage does not have.
+
+    Raises:
+        ConfigError: sqlite3 is to be compressed.
+    """
+    from uav_vslam.errors import ConfigError
+
+    if args.zstd and args.storage != "mcap":
+        raise ConfigError(f"--zstd compresses mcap files; leave it out, or --storage {args.storage}")
+
+
 def add_results(parser: argparse.ArgumentParser) -> None:
     """Declare the folder of all results, which is created with the first of them."""
     parser.add_argument("--results", type=_results_folder, default=RESULTS, help="where results go (default results/)")

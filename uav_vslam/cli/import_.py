@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.argument_types import namespace, non_negative, positive_number
-from uav_vslam.cli.arguments import first_given
+from uav_vslam.cli.arguments import add_storage, check_storage, first_given
 from uav_vslam.cli.messages import warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 
@@ -97,8 +97,7 @@ def _common_arguments() -> argparse.ArgumentParser:
         metavar=("M", "M/S", "DEG", "RAD/S", "M/S2"),
         help="stated sigma of the start's position, velocity, attitude, gyro and accelerometer bias",
     )
-    common.add_argument("--storage", default="mcap", choices=["mcap", "sqlite3"], help="bag format (default mcap)")
-    common.add_argument("--zstd", action="store_true", help="compress the mcap file's chunks: raw images shrink")
+    add_storage(common)
     return common
 
 
@@ -111,10 +110,8 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.datasets.importing.problems import Problems
     from uav_vslam.datasets.importing.source import configuration_file, write_source
     from uav_vslam.datasets.unfinished import require_new
-    from uav_vslam.errors import ConfigError
 
-    if args.zstd and args.storage != "mcap":
-        raise ConfigError(f"--zstd compresses mcap files; leave it out, or --storage {args.storage}")
+    check_storage(args)
     kept = configuration_file(args.out).exists()  # before any work: it may be refused
     warn_each(require_new(args.out))
     problems = Problems(warn)

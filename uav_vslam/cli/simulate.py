@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.argument_types import non_negative
+from uav_vslam.cli.arguments import add_storage, check_storage
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -54,8 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--compressed", nargs="?", const="png", choices=["png", "jpeg"], help="record compressed images"
     )
     parser.add_argument("--quality", type=int, help="of jpeg, 1 to 100 (default 90)")
-    parser.add_argument("--storage", default="mcap", choices=["mcap", "sqlite3"], help="bag format (default mcap)")
-    parser.add_argument("--zstd", action="store_true", help="compress the mcap file's chunks: small messages shrink")
+    add_storage(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,18 +64,12 @@ def run(args: argparse.Namespace) -> int:
 
     from uav_vslam.simulation.recording import record
 
+    check_storage(args)
     cv2.setNumThreads(1)
     scenario = scenario_from(args)
     coding = coding_from(args)
     with progress_bar("rendering", scenario.frames * scenario.vehicles) as advance:
-        record(
-            scenario,
-            args.out,
-            coding=coding,
-            storage=args.storage,
-            zstd=args.zstd,
-            on_frame=advance,
-        )
+        record(scenario, args.out, coding=coding, storage=args.storage, zstd=args.zstd, on_frame=advance)
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
     print(
         f"{args.out}: {scenario.vehicles} vehicles, {scenario.frames} image pairs each over "
