@@ -67,6 +67,13 @@ def test_readings_in_g_are_rejected():
         static_alignment(in_g, 10**9, IMU)
 
 
+def test_a_gyroscope_alone_is_named_in_flight_as_well():
+    """It was said to move, and with start.method: in_flight that its accelerometer is missing."""
+    turning = [ImuSample(s.stamp_ns, 100.0 * s.gyro, np.zeros(3)) for s in resting(0.0, 0.0)]
+    with pytest.raises(UavVslamError, match=r"measures 0 m/s\^2.*have a live driver unite it"):
+        static_alignment(turning, 10**9, IMU)
+
+
 def test_too_few_readings_are_rejected():
     with pytest.raises(UavVslamError, match="got 3"):
         static_alignment(resting(0.0, 0.0, count=3), 10**9, IMU)

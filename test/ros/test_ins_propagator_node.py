@@ -43,11 +43,12 @@ def make(domain_id: int) -> Iterator[Make]:
         yield made
 
 
-def rest(node: InsPropagatorNode, start_ns: int, seconds: float) -> None:
-    """Feed IMU samples at rest, and an image at every seventh of them."""
+def rest(node: InsPropagatorNode, start_ns: int, seconds: float, *, turn: float = 0.0) -> None:
+    """Feed IMU samples at rest, or that turn to and fro [rad/s], and an image at every seventh of them."""
     for k in range(round(seconds * NS_PER_S) // STEP_NS + 1):
         stamp_ns = start_ns + k * STEP_NS
         reading = Imu(header=header(stamp_ns, node.base_frame), linear_acceleration=Vector3(z=node.config.imu.gravity))
+        reading.angular_velocity.x = turn * (-1) ** k
         deliver(node, "imu/data_raw", reading)
         if k % 7 == 6:
             deliver(node, "left/camera_info", CameraInfo(header=header(stamp_ns - 1_000_000, "left_optical")))
@@ -119,6 +120,16 @@ def test_rest_is_averaged_over_the_configured_time(make: Make, rest_s: float) ->
     assert node._live is not None
     assert node._preintegrator.start_ns == NOW_NS + round(rest_s * NS_PER_S)
     assert node.counts["increments"] > 3
+
+
+def test_the_status_says_why_a_vehicle_that_moves_has_no_static_start(make: Make) -> None:
+    """Diagnostics and monitor had only that the node waits for the back end."""
+    node = make("start.method:=static")
+    rest(node, NOW_NS, 1.5, turn=0.2)
+    assert node.alarms["start"].startswith("no start: the vehicle moves (gyro 0.200 rad/s")
+    rest(node, NOW_NS + round(1.505 * NS_PER_S), 1.5)
+    assert node._live is not None
+    assert not node.alarms
 
 
 def test_a_static_start_waits_for_the_cameras(make: Make) -> None:

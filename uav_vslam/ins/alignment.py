@@ -41,15 +41,15 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
         raise UavVslamError(
             f"static alignment needs a second of IMU readings before the first frame, got {len(samples)}"
         )
+    force = float(np.linalg.norm(accel.mean(axis=0)))
+    if unlike := unlike_gravity(force, imu):
+        raise UavVslamError(unlike)
     rate_std, accel_std = float(gyro.std(axis=0).max()), float(accel.std(axis=0).max())
     if rate_std > MAX_RATE_STD or accel_std > MAX_ACCEL_STD:
         raise UavVslamError(
             f"the vehicle moves (gyro {rate_std:.3f} rad/s, accelerometer {accel_std:.2f} m/s^2 rms): static alignment "
             "needs rest; set start.method: in_flight, or give an initial_state"
         )
-    force = float(np.linalg.norm(accel.mean(axis=0)))
-    if unlike := unlike_gravity(force, imu):
-        raise UavVslamError(unlike)
     bias = abs(force - imu.gravity)  # along gravity; what is across tilts the start
     sigma_accel_bias = bias if bias > MOST_SIGMAS * imu.accel_bias_sigma else imu.accel_bias_sigma
     return levelled(
@@ -81,8 +81,9 @@ def unlike_gravity(force: float, imu: ImuConfig) -> str:
     if imu.gravity / MOST_FORCE < force < imu.gravity * MOST_FORCE:
         return ""
     return (
-        f"the accelerometer measures {force:.3g} m/s^2, where gravity is {imu.gravity:.3g}: check its unit and scale, "
-        "and that it is on the topic of the gyroscope, or named by input.topics.accel"
+        f"the accelerometer measures {force:.3g} m/s^2, where gravity is {imu.gravity:.3g}: check its unit and scale; "
+        "if it has a topic of its own, set input.topics.accel for recordings, and have a live driver unite it with the "
+        "gyroscope (RealSense: unite_imu_method: 2)"
     )
 
 

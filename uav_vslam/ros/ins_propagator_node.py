@@ -21,7 +21,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo
 
 from uav_vslam.datasets.messages import header_stamp_ns, stamp_ns_of
-from uav_vslam.errors import InvalidMessage
+from uav_vslam.errors import InvalidMessage, UavVslamError
 from uav_vslam.ins.alignment import biased_rest, static_alignment
 from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.outliers import OUTLIER, OutlierFilter
@@ -286,7 +286,11 @@ class InsPropagatorNode(VehicleNode):
 
     def _align(self, samples: list[ImuSample]) -> None:
         """Estimate the start state from IMU samples at rest, and publish it."""
-        initial = static_alignment(samples, samples[-1].stamp_ns, self.config.imu)
+        try:
+            initial = static_alignment(samples, samples[-1].stamp_ns, self.config.imu)
+        except UavVslamError as refused:
+            self.alarms["start"] = f"no start: {refused}"
+            raise
         if biased := biased_rest(initial, self.config.imu):
             self.get_logger().warning(biased)
         self._initial_state.publish(navigation_to_msg(initial, frame_id=self.map_frame, child_frame_id=self.base_frame))
