@@ -320,6 +320,26 @@ def test_transforms_that_change_are_all_read_and_told(tiny_bag: Path, tmp_path: 
     assert right.warnings == ()
 
 
+@pytest.mark.parametrize("apart_m", [0.0, 0.01])
+def test_a_frame_below_two_parents_is_told_only_if_they_place_it_differently(
+    apart_m: float, tiny_bag: Path, tmp_path: Path
+) -> None:
+    """RealSense's driver has that of the left camera below two frames that coincide."""
+    step = Pose(so3_exp([0.1, 0.2, 0.3]), np.array([0.0, 0.0, apart_m]))
+
+    def twice(raw: RawMessage) -> RawMessage:
+        if raw.topic != "/tf_static":
+            return raw
+        edges = transforms_of(decode(raw))[0]
+        (place,) = [T for _, child, T in edges if child == "uav1/left_optical"]
+        turned = Pose(step.R, np.zeros(3))
+        below = [("uav1/base_link", "aligned", place @ step), ("aligned", "uav1/left_optical", turned.inverse())]
+        return dataclasses.replace(raw, data=encode(transforms_message(raw.stamp_ns, [*edges, *below])))
+
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", twice), "uav1")
+    assert any("uav1/left_optical differently" in text for text in flight.warnings) == (apart_m > 0)
+
+
 def test_bags_of_two_flights_are_told_and_parts_of_one_are_not(tiny_bag: Path, tmp_path: Path) -> None:
     middle_ns = sorted(raw.stamp_ns for raw in iter_raw([tiny_bag]))[100]
     again = rewrite(tiny_bag, tmp_path / "again", lambda raw: raw)

@@ -20,7 +20,7 @@ class FrameTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose]] = {}  # child -> (parent, T_parent_child)
-        self.moved: set[str] = set()  # frames that a later edge has placed elsewhere
+        self._earlier: dict[tuple[str, str], Pose] = {}  # (parent, child) -> T_parent_child, replaced since
         self.borrowed: set[str] = set()  # frames that `borrow` has placed
         self.faults: dict[str, None] = {}  # what is wrong with edges that were left out
 
@@ -34,9 +34,18 @@ class FrameTree:
         self.faults |= dict.fromkeys(faults)
         for parent, child, pose in edges:
             before, T = self._parents.get(child, (parent, pose))
-            if before != parent or not np.allclose(T.matrix, pose.matrix, atol=SAME_PLACE):
-                self.moved.add(child)
+            if before != parent or not _same_place(T, pose):
+                self._earlier[before, child] = T
             self._parents[child] = parent, pose
+
+    @property
+    def moved(self) -> set[str]:
+        """Frames that a later edge has placed elsewhere; one below another parent may be where it was."""
+        return {
+            child
+            for (parent, child), T in self._earlier.items()
+            if not self.connected(parent, child) or not _same_place(self.find(parent, child), T)
+        }
 
     def borrow(self, edges: Iterable[Edge]) -> None:
         """Add the edges of frames that have no place here yet."""
@@ -109,10 +118,14 @@ class UnmovedFrames:
         for parent, child, pose in edges:
             if child not in self._moved:
                 before, T = self._first.setdefault(child, (parent, pose))
-                if before != parent or not np.allclose(T.matrix, pose.matrix, atol=SAME_PLACE):
+                if before != parent or not _same_place(T, pose):
                     self._moved.add(child)
 
     @property
     def edges(self) -> list[Edge]:
         """The edges that were always the same."""
         return [(parent, child, T) for child, (parent, T) in self._first.items() if child not in self._moved]
+
+
+def _same_place(one: Pose, other: Pose) -> bool:
+    return np.allclose(one.matrix, other.matrix, atol=SAME_PLACE)
