@@ -148,6 +148,25 @@ def test_foreign_topics_are_judged_as_well_and_the_block_makes_the_recording_usa
     assert again.block == ""
 
 
+def test_an_imu_of_another_name_beside_usual_images_is_judged_as_well(clean: Path, tmp_path: Path) -> None:
+    """As a driver in the vehicle's namespace publishes it: unread, it said that the vehicle moves at the start."""
+
+    def named(raw: RawMessage) -> RawMessage:
+        return dataclasses.replace(raw, topic="/uav1/imu/data") if raw.topic == IMU else raw
+
+    bag = rewritten(clean, tmp_path / "bag", named)
+    found = inspected(bag)
+    (only,) = faults(found.findings)
+    assert (only.subject, "judged instead: imu /uav1/imu/data" in only.seen) == ("topic names", True)
+    assert found.noise
+    config = tmp_path / "mine.yaml"
+    config.write_text(found.block)
+    assert faults(inspected(bag, load_vehicle(config)).findings) == []
+    blind = inspected(rewritten(bag, tmp_path / "blind", without("/uav1/imu/data", START)))
+    (start,) = [fault for fault in faults(blind.findings) if fault.subject == "start state"]
+    assert "static for a vehicle at rest, in_flight for one that flies" in start.remedy
+
+
 def test_a_body_of_another_name_is_found_from_the_sensors_frames(clean: Path, tmp_path: Path) -> None:
     """Drivers of depth cameras name it camera_link."""
 

@@ -81,7 +81,7 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
 def inspect_bags(
     paths: tuple[Path, ...], vehicle: str, config: VehicleConfig, on_message: Callable[[], None] = lambda: None
 ) -> tuple[Survey, Inspection]:
-    """Read and judge one vehicle's recording; if images are not under the configured names, the likeliest topics.
+    """Read and judge one vehicle's recording; where images or IMU have other names than configured, the likeliest.
 
     Args:
         paths: bags that together hold its topics.
@@ -95,7 +95,7 @@ def inspect_bags(
     recorded = topics_of(paths)
     guess = topics.guess_topics(recorded, vehicle)
     to_set = topics.topics_to_set(recorded, guess, vehicle, config.input)
-    foreign = _is_foreign(to_set)
+    foreign = _foreign(to_set)
     used = _with_noise(_with_topics(config, to_set))
     survey = survey_flight(paths, vehicle, used.input, on_message=on_message)
     base = survey.setup.likely_base
@@ -107,7 +107,7 @@ def inspect_bags(
     if base:
         found.findings.insert(0, topics.other_body(config.input.base_frame(vehicle), base))
     if foreign:
-        found.findings.insert(0, topics.foreign(config.input.topic(vehicle, "left"), guess))
+        found.findings.insert(0, topics.foreign(config.input.topic(vehicle, foreign[0]), to_set, guess))
     for text in recorded_together(paths, used.input.topic(vehicle, "imu")):
         found.findings.insert(0, warning("recordings", text, "parts of one flight", "see the text"))
     if found.usable:
@@ -116,7 +116,7 @@ def inspect_bags(
     found.block = topics.configuration_block(
         to_set, guess, noise, base=base, rectified=rectified, start_method=found.start_method
     )
-    found.block_of = vehicle if foreign and vehicle != DEFAULT_VEHICLE else ""
+    found.block_of = vehicle if "left" in foreign and vehicle != DEFAULT_VEHICLE else ""
     return survey, found
 
 
@@ -126,13 +126,14 @@ def messages_to_read(recorded: Mapping[str, TopicInfo], vehicle: str, config: Ve
     return message_count(recorded, vehicle, _with_topics(config, to_set).input)
 
 
-def _is_foreign(to_set: Mapping[str, str]) -> bool:
-    """Return whether images are not under the configured names."""
-    return set(SIDES) <= set(to_set)
+def _foreign(to_set: Mapping[str, str]) -> list[str]:
+    """Return which of both images together, and the IMU, are not under the configured names."""
+    images = [side for side in SIDES if set(SIDES) <= set(to_set)]
+    return [*images, *(["imu"] if "imu" in to_set else [])]
 
 
 def _with_topics(config: VehicleConfig, to_set: Mapping[str, str]) -> VehicleConfig:
-    names = {f"input.topics.{role}": topic for role, topic in to_set.items()} if _is_foreign(to_set) else {}
+    names = {f"input.topics.{role}": topic for role, topic in to_set.items()} if _foreign(to_set) else {}
     return replaced(config, names, where="guessed topics")
 
 

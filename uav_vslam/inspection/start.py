@@ -53,7 +53,8 @@ def check_start(
         return _check_static(readings, images_ns, config)
     if not initial:
         seen, allowed = "start.method is given, but no start state was recorded", "one message on initial_state"
-        remedy = f"record one, or set {_METHODS[method_for(readings, images_ns, config)]}"
+        method = _METHODS[method_for(readings, images_ns, config)] if readings else METHODS
+        remedy = f"record one, or set {method}"
         return [error("start state", seen, allowed, remedy)]
     return _check_given(initial[0], images_ns, readings, truth)
 

@@ -193,10 +193,11 @@ def _check_presence(survey: Survey, role: str, guess: Guess) -> list[Finding]:
     return [error(f"{role} topic", f"{names} was not recorded", " or ".join(TYPES[role]), other)]
 
 
-def foreign(name: str, guess: Guess) -> Finding:
+def foreign(name: str, to_set: Mapping[str, str], guess: Guess) -> Finding:
     """Return the error that topics have other names than configured; the likeliest are judged instead."""
-    best, others = guess.best, guess.stereo[1:]
-    seen = f"{name} was not recorded; judged instead: {', '.join(f'{role} {topic}' for role, topic in best.items())}"
+    others = guess.stereo[1:] if "left" in to_set else []
+    instead = ", ".join(f"{role} {topic}" for role, topic in to_set.items())
+    seen = f"nothing that can be read is on {name}; judged instead: {instead}"
     if others:
         seen += f"; also possible: {', '.join(f'{left} with {right}' for left, right in others)}"
     return error("topic names", seen, "the configured names", "put the block below into a configuration")
