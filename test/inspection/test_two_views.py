@@ -2,6 +2,7 @@
 """The motion between two pairs over flat ground is unbiased, and as uncertain as claimed."""
 
 import numpy as np
+import pytest
 
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log
@@ -39,6 +40,17 @@ def test_motion_has_no_bias_and_the_claimed_spread() -> None:
 
 def test_wrong_matches_are_left_out() -> None:
     found = motion_between(*observed(1, wrong=40), RIG)
+    assert found is not None
+    assert np.linalg.norm(found.T_start_end.t - TRUE.t) < 4.0 * found.sigma_position
+
+
+@pytest.mark.parametrize(("start_px", "end_px"), [(4.5, 9.0), (0.0, -30.0)])
+def test_wrong_matches_of_the_right_image_alone_are_left_out(start_px: float, end_px: float) -> None:
+    """They fit the motion in the left image, and ran to infinity, or behind the camera: a singular matrix."""
+    start, end = observed(0)
+    start[:10, 3] += start_px
+    end[:10, 3] += end_px
+    found = motion_between(start, end, RIG)
     assert found is not None
     assert np.linalg.norm(found.T_start_end.t - TRUE.t) < 4.0 * found.sigma_position
 

@@ -23,6 +23,7 @@ MIN_INLIERS = 15
 MIN_AGREEING = 0.3  # share of the matches that must fit one motion
 ITERATIONS = 10
 OUTLIER_SIGMAS = 4.0
+FARTHEST = 1e4  # baselines: the disparity is less than 0.1 px there
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,7 @@ def motion_between(start: Array, end: Array, rig: StereoRig) -> Motion | None:
     if found is None:
         return None
     pose, keep = found
+    keep &= np.abs(end - rig.project(pose.inverse().apply(points))).max(axis=1) <= PNP_PX  # on the right as well
     for _ in range(2):
         if keep.sum() < max(MIN_INLIERS, MIN_AGREEING * len(points)):
             return None
@@ -84,7 +86,9 @@ def _adjusted(points: Array, start: Array, end: Array, pose: Pose, rig: StereoRi
         S = np.einsum("nki,nkj->ij", J_pose, J_pose) - np.einsum("nij,nkj->ik", eliminated, W)
         b = np.einsum("nki,nk->i", J_pose, residual) - np.einsum("nij,nj->i", eliminated, b_points)
         step = np.linalg.solve(S, b)
-        points = points + np.einsum("nij,nj->ni", V_inverse, b_points - np.einsum("nij,i->nj", W, step))
+        moved = points + np.einsum("nij,nj->ni", V_inverse, b_points - np.einsum("nij,i->nj", W, step))
+        in_view = (moved[:, 2:] > 0.0) & (moved[:, 2:] < FARTHEST * rig.baseline_m)
+        points = np.where(in_view, moved, points)  # wrong matches would run through infinity to behind the camera
         pose = Pose(pose.R @ so3_exp(step[:3]), pose.t + pose.R @ step[3:])
     variance = float(np.sum(residual**2)) / max(1, 5 * len(points) - 6)
     return pose, points, variance * np.linalg.inv(S), residual
