@@ -66,6 +66,19 @@ def cropped(topic: str) -> Change:
     return edited(topic, edit)
 
 
+def projected() -> list[Change]:
+    """Light a texture onto the ground, some 60 m away, from the vehicle: it stands still in both images."""
+    texture = np.random.default_rng(7).integers(0, 256, (10, 10)).astype(np.uint8).repeat(4, axis=0).repeat(4, axis=1)
+    size = len(texture)
+
+    def light(message: Any, row: int, column: int) -> Any:
+        image = message.data.reshape(message.height, message.step).copy()
+        image[row : row + size, column : column + size] = texture
+        return dataclasses.replace(message, data=image.ravel())
+
+    return [edited(LEFT, lambda one: light(one, 80, 120)), edited(RIGHT, lambda one: light(one, 81, 127))]
+
+
 def scaled(sensor: str, factor: float) -> Change:
     """Scale the IMU's `angular_velocity` or `linear_acceleration`."""
 
@@ -284,6 +297,10 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     "left camera_info alone of another size": (
         lambda: [edited(INFOS[0], half_size)],
         [("error", "rig", ("160x120", "320x240")), ("error", "left image size", ("320x240",))],
+    ),
+    "a projector on the vehicle": (
+        projected,
+        [("warning", "points that move", ("stand still in the image", "emitter_enabled"))],
     ),
     "images cropped": (
         lambda: [cropped(RIGHT)],

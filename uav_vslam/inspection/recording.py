@@ -210,9 +210,9 @@ def _look(survey: Survey, rig: StereoRig | None, config: VehicleConfig, found: I
     blind = [one for one in found.findings if one.severity is Severity.ERROR and " image" in one.subject]
     if rig is None or not survey.samples or blind:
         found.findings.append(ok("stereo geometry", "not judged: no pairs of sound images with a calibration"))
-        return views.Views(np.zeros((0, 4)), [])
+        return views.Views(np.zeros((0, 4)), [], np.zeros((0, 2)))
     looked = views.look(survey.samples, rig, config.frontend)
-    found.findings += views.check_geometry(looked.pixels, rig, config.frontend)
+    found.findings += views.check_geometry(looked.pixels, rig, config.frontend) + views.check_flow(looked.flow_px)
     return looked
 
 

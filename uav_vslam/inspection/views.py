@@ -45,10 +45,12 @@ class Views:
     Attributes:
         pixels: (M, 4) undistorted stereo points of all pairs, matched by descriptors alone.
         steps: motion within couples of pairs.
+        flow_px: (K, 2) how far points of the couples should move in the left image by that motion, and how far they do.
     """
 
     pixels: Array
     steps: list[Step]
+    flow_px: Array
 
 
 def look(
@@ -60,7 +62,7 @@ def look(
     scale = min(1.0, max(0.1, DETECTION_WIDTH_PX / rig.left.width))
     config = dataclasses.replace(config, method="sift", extractor="sift", matcher=GATED, scale=scale)
     frontend = StereoFrontend(rig, config)
-    pixels, steps = [np.zeros((0, 4))], []
+    pixels, steps, flows = [np.zeros((0, 4))], [], [np.zeros((0, 2))]
     for first, second in samples:
         try:
             detected = frontend.detect(first)
@@ -73,10 +75,35 @@ def look(
                 motion = motion_between(both[0], both[1], rig)
                 if motion is not None:
                     steps.append(Step(first.stamp_ns, second.stamp_ns, motion))
+                    flows.append(_flow_px(both[0], both[1], motion, rig))
         except InvalidMessage:  # of another size than the calibration: the check of images says so
             pass
     found = np.vstack(pixels)
-    return Views(found[np.isfinite(found).all(axis=1)], steps)
+    return Views(found[np.isfinite(found).all(axis=1)], steps, np.vstack(flows))
+
+
+def _flow_px(start: Array, end: Array, motion: Motion, rig: StereoRig) -> Array:
+    """Return (K, 2) distances in the left image by the motion, and as seen, of (M, 4) points of two pairs."""
+    moved = rig.project(motion.T_start_end.inverse().apply(rig.triangulate(start)))[:, :2]
+    flow = np.stack([np.linalg.norm(one - start[:, :2], axis=1) for one in (moved, end[:, :2])], axis=1)
+    return flow[np.isfinite(flow).all(axis=1)]
+
+
+def check_flow(flow_px: Array) -> list[Finding]:
+    """Check that hardly any points stand still in an image that moves, as `Views.flow_px` has them."""
+    seen_px = flow_px[flow_px[:, 0] > limits.MOVING_PX, 1]
+    if len(seen_px) < limits.MIN_MATCHES:
+        return []
+    still = int((seen_px < limits.STILL_PX).sum())
+    moving = f"{len(seen_px)} points that should move by {limits.MOVING_PX:g} px or more"
+    seen = f"{still} of {moving} stand still in the image"
+    if still <= limits.STILL_SHARE * len(seen_px):
+        return [ok("points that move", seen)]
+    remedy = (
+        "switch off a depth camera's projector (RealSense: depth_module.emitter_enabled: 0), clean the lenses, and "
+        "keep parts of the vehicle out of view"
+    )
+    return [warning("points that move", seen, f"at most {100 * limits.STILL_SHARE:g} %", remedy)]
 
 
 def check_geometry(pixels: Array, rig: StereoRig, config: FrontendConfig) -> list[Finding]:
