@@ -61,6 +61,13 @@ def test_a_moving_vehicle_is_rejected():
         static_alignment(resting(0.0, 0.0, noise=2.0), 10**9, IMU)
 
 
+def test_a_steady_turn_is_no_bias():
+    """As steady as rest by their spread, 0.5 rad/s in flight were taken for the gyroscope's bias."""
+    with pytest.raises(UavVslamError, match=r"turns at 0.50 rad/s, .* set start.method: in_flight"):
+        static_alignment(resting(0.0, 0.0, gyro_bias=(0.0, 0.0, 0.5)), 10**9, IMU)
+    assert static_alignment(resting(0.0, 0.0, gyro_bias=(0.0, 0.0, 0.3)), 10**9, IMU).state.gyro_bias[2] > 0.29
+
+
 def test_readings_in_g_are_rejected():
     in_g = [ImuSample(s.stamp_ns, s.gyro, s.accel / IMU.gravity) for s in resting(0.0, 0.0)]
     with pytest.raises(UavVslamError, match=r"measures 1 m/s\^2, where gravity is 9.81: check its unit"):

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 MAX_RATE_STD = 0.05  # [rad/s] largest gyroscope noise at rest
 MAX_ACCEL_STD = 0.5  # [m/s^2] largest accelerometer noise at rest
+MAX_RATE_BIAS = 0.35  # [rad/s] largest of usual gyroscopes, 20 deg/s; more is a steady turn
 MOST_FORCE = 2.0  # times gravity, the mean force of a turn at 60 degrees of bank; its inverse is the least
 SIGMA_ORIGIN_M = 1e-3  # position and heading define the frame, so are known
 SIGMA_HEADING_RAD = 1e-3
@@ -49,6 +50,11 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
         raise UavVslamError(
             f"the vehicle moves (gyro {rate_std:.3f} rad/s, accelerometer {accel_std:.2f} m/s^2 rms): static alignment "
             "needs rest; set start.method: in_flight, or give an initial_state"
+        )
+    if (rate := float(np.linalg.norm(gyro.mean(axis=0)))) > MAX_RATE_BIAS:
+        raise UavVslamError(
+            f"the vehicle turns at {rate:.2f} rad/s, more than a gyroscope's bias: static alignment needs rest; set "
+            "start.method: in_flight, or check the gyroscope's unit (rad/s)"
         )
     bias = abs(force - imu.gravity)  # along gravity; what is across tilts the start
     sigma_accel_bias = bias if bias > MOST_SIGMAS * imu.accel_bias_sigma else imu.accel_bias_sigma
