@@ -195,7 +195,7 @@ def test_an_accelerometer_in_g_is_named(flown) -> None:
     ]
     search = InFlightInitializer(flight.vehicle.rig, config())
     assert feed(search, in_g) is None
-    assert "m/s^2, where gravity is 9.81: check its unit and scale, and that it is on" in search.reason
+    assert "m/s^2, where gravity is 9.81: check its unit and scale; if it has a topic" in search.reason
 
 
 def test_a_gap_in_the_motion_restarts_the_window(flown) -> None:

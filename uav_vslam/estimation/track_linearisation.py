@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 RELINEARISATIONS = 5  # at most
-ROUNDS = 6  # at most
+ROUNDS = 6  # at most, of leaving out what does not fit
 SHORTER_STEPS = 3  # at most, each half as long as the one before
 NONLINEAR = 1.0  # by which the squared residuals, over their noise, may exceed those predicted
 
@@ -98,9 +98,8 @@ def fitting(
 ) -> tuple[Mask, LinearisedTracks, VehicleObservation]:
     """Return which tracks to use, and of these what `relinearised` returns; all, as they are, in a narrow gate.
 
-    Those are used that fit where they lead, if they are a majority; otherwise none.
-
-    Where wrong tracks lead the others astray, those that fit best lead next, as in least trimmed squares.
+    Those are used that fit where they lead, if they are a majority; otherwise none. Where wrong ones lead the others
+    astray, the half that fits best leads next, as in least trimmed squares.
 
     Args:
         first, used, P, linearise: as for `relinearised`.

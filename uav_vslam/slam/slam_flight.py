@@ -220,7 +220,7 @@ class SlamFlight:
             if joint is not None:
                 self.archive.add(joint)
         except FilterDivergence as error:
-            return f"landmarks are missing in the map of this flight: {error}"
+            return f"landmarks may be missing in the map of this flight: {error}"
         return ""
 
     def _noise_warnings(self, track_sigma_px: float, increment: ImuIncrement | None) -> list[str]:
