@@ -2,6 +2,7 @@
 """Tracks through the back end: each view is used once, and the present has them all."""
 
 import copy
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -268,3 +269,17 @@ def test_the_thesiss_filters_and_states_have_no_past_poses(flown, changes) -> No
     fly(flight, backend)
     assert len(backend._filter.past) == 0
     assert len(backend.landmarks[0]) > 0
+
+
+@pytest.mark.parametrize(("going_on", "found_by_looks"), [(0.05, True), (0.2, False)])
+def test_where_hardly_a_track_goes_on_landmarks_are_as_if_long_unseen(flown, going_on, found_by_looks) -> None:
+    """Found again by their looks alone, they are less exact than tracked points."""
+    flight, at = flown(107, frames=12, tracked_px=SIGMA_PX / 2), 8
+    backend = backend_of(flight)
+    for features, increment in flight.frames[:at]:
+        assert backend.process(features, increment).closures == 0
+    features, increment = flight.frames[at]
+    tracks = np.where(np.arange(len(features)) < going_on * len(features), features.tracks, features.tracks + 10**6)
+    report = backend.process(dataclasses.replace(features, tracks=tracks.astype(np.uint32)), increment)
+    assert (report.closures > 10) == found_by_looks
+    assert report.associated > 10

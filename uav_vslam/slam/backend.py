@@ -24,7 +24,7 @@ from uav_vslam.slam.disparity_judge import DisparityJudge
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MIN_FEATURES, FilterHealth
 from uav_vslam.slam.imu_fault import ImuFaultDetector
-from uav_vslam.slam.landmark_map import LandmarkMap
+from uav_vslam.slam.landmark_map import LONG_FRAMES, LandmarkMap
 from uav_vslam.slam.local_map import LocalMap
 from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.slam.matches import Matches
@@ -43,6 +43,7 @@ from uav_vslam.types import (
 
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
 TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
+LOST_SHARE = 0.1  # of the tracks of the frame before: if fewer go on, landmarks are found by their looks alone
 UNAIDED_S = 1.0  # a vibration from the start on is noticed by then
 
 
@@ -215,6 +216,8 @@ class SlamBackend:
             self._window.add_frame(self._filter, features)
             new_landmarks = partial(self._local_map.new_landmarks, frame=self._frame)
             self._window.finish(self._filter, self._map, self._frame, new_landmarks, everything=is_seen)
+            if self._tracks_end(features):
+                self._frame += LONG_FRAMES
             outcome.matches, outcome.innovation, outcome.closures = self._local_map.correct(
                 features, self._frame, by_landmarks=not is_seen
             )
@@ -413,6 +416,11 @@ class SlamBackend:
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
         self._unaided = initial
         self._disparity_judge = DisparityJudge()
+
+    def _tracks_end(self, features: StereoFeatures) -> bool:
+        """Return whether hardly a track of the frame before goes on: then all landmarks are as if long unseen."""
+        tracks = features.tracks[features.tracks != 0]
+        return len(tracks) > 0 and np.isin(self._last_tracks, tracks).sum() < LOST_SHARE * len(self._last_tracks)
 
     def _continued(self, features: StereoFeatures) -> int:
         """Return how many points continue a track of the frame before."""
