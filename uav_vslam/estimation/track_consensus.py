@@ -37,13 +37,13 @@ def trusted(
         probability: of the gate.
     """
     passed, added = seen.gated(P, probability)
-    if not passed.any() or np.median(added[passed]) < WIDE:
+    if not passed.any() or (width := np.median(added[passed])) < WIDE:
         return passed
     everyone, possible = seen, passed
     if others is not None:
         more = others()
         everyone, possible = seen.joined(more), np.append(passed, more.gated(P, probability)[0])
-    alone = np.median(added[passed]) > FAR_WIDE and passed.sum() < LEAST_ASKED
+    alone = width > FAR_WIDE and passed.sum() < LEAST_ASKED
     if alone or possible.sum() < LEAST_ASKED:
         return np.zeros_like(passed)
     kept = possible

@@ -77,7 +77,7 @@ class LinearisedTracks:
 
     def misfits(self, said: VehicleObservation, P: Array, probability: float) -> Array:
         """Return (T,) `TrackObservation.misfits` where `said`, about the filter's mean of covariance P, leads."""
-        mean = np.asarray(np.linalg.solve(np.eye(len(P)) + P @ said.Y, P @ said.i))
+        mean = P @ _weighted(said, P)
         if self.move is not None:
             mean = self.move.T @ (mean - self.move.delta)
         return self.seen.misfits(mean[self.rows], probability)
@@ -144,7 +144,7 @@ def relinearised(
 
     cost, reached = said.norm2, np.zeros(len(P))
     for _ in range(RELINEARISATIONS):
-        weighted = np.asarray(np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i), np.float64)
+        weighted = _weighted(said, P)
         delta = P @ weighted
         predicted = said.norm2 - float(delta @ (2.0 * said.i - said.Y @ delta))
         there, residual, total = at(weighted)
@@ -159,3 +159,8 @@ def relinearised(
             break
         best, said, cost, reached = there, there.of_vehicle(used), total, weighted
     return best, said
+
+
+def _weighted(said: VehicleObservation, P: Array) -> Array:
+    """Return (vehicle,) P^-1 times the correction to which observations lead a mean of covariance P."""
+    return np.asarray(np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i), np.float64)

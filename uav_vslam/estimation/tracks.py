@@ -132,9 +132,8 @@ class TrackObservation:
         G = self.of_points
         HP, GP = ((A.reshape(-1, len(P)) @ P).reshape(A.shape) for A in (self.H, G))
         added = np.einsum("tij,tij->t", HP, self.H) - np.einsum("tij,tij->t", GP, G)
-        r = (self.residual if mean is None else self.residual - self.H @ mean)[..., None]
-        r = r - self.Q @ (np.swapaxes(self.Q, 1, 2) @ r)
-        nis, most = np.sum(r**2, axis=(1, 2)), chdtri(4 * self.views - 3, 1.0 - probability)
+        r, most = self._beside_points(mean), self._most(probability)
+        nis = np.sum(r**2, axis=(1, 2))
         large = np.flatnonzero(~(nis <= most))  # P only makes them smaller
         Q = self.Q[large]
         S = (HP[large] - Q @ GP[large]) @ np.swapaxes(self.H[large] - Q @ G[large], 1, 2) + np.eye(r.shape[1])
@@ -143,10 +142,17 @@ class TrackObservation:
 
     def misfits(self, mean: Array, probability: float) -> Array:
         """Return (T,) squared residuals at a mean over the largest that pass the gate; infinite for those not good."""
-        r = (self.residual - self.H @ mean)[..., None]
-        r = r - self.Q @ (np.swapaxes(self.Q, 1, 2) @ r)
-        most = chdtri(4 * self.views - 3, 1.0 - probability)
-        return np.where(self.good, np.sum(r**2, axis=(1, 2)) / most, np.inf)
+        squares = np.sum(self._beside_points(mean) ** 2, axis=(1, 2))
+        return np.where(self.good, squares / self._most(probability), np.inf)
+
+    def _beside_points(self, mean: Array | None) -> Array:
+        """Return (T, 4V, 1) the residuals at a mean, by default zero, that no place of a track's point explains."""
+        r = (self.residual if mean is None else self.residual - self.H @ mean)[..., None]
+        return r - self.Q @ (np.swapaxes(self.Q, 1, 2) @ r)
+
+    def _most(self, probability: float) -> Array:
+        """Return (T,) the largest squares of those that pass a chi-square gate."""
+        return np.asarray(chdtri(4 * self.views - 3, 1.0 - probability))
 
     def of_poses(self) -> VehicleObservation:
         """Return what all tracks together say about the rig's errors and the past poses."""

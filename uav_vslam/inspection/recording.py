@@ -128,8 +128,8 @@ def messages_to_read(recorded: Mapping[str, TopicInfo], vehicle: str, config: Ve
 
 def _foreign(to_set: Mapping[str, str]) -> list[str]:
     """Return which of both images together, and the IMU, are not under the configured names."""
-    images = [side for side in SIDES if set(SIDES) <= set(to_set)]
-    return [*images, *(["imu"] if "imu" in to_set else [])]
+    roles = [*SIDES, "imu"] if set(SIDES) <= set(to_set) else ["imu"]
+    return [role for role in roles if role in to_set]
 
 
 def _with_topics(config: VehicleConfig, to_set: Mapping[str, str]) -> VehicleConfig:

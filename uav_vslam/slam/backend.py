@@ -58,6 +58,7 @@ class _Outcome:
     """
 
     known: int
+    tracked: int
     matches: Matches = field(default_factory=Matches.none)
     innovation: Innovation | None = None
     as_calibrated: NavEstimate | None = None
@@ -205,7 +206,8 @@ class SlamBackend:
     def _estimate(self, step: Step) -> _Outcome:
         """Move the filter to a frame and correct it; where it fails, propagate the estimate by the IMU alone."""
         increment, features, is_seen = step.increment, step.features, step.tracks > 0
-        outcome = _Outcome(known=len(self._map))
+        before = len(self._last_tracks)
+        outcome = _Outcome(known=len(self._map), tracked=self._continued(features))
         self._filter.track_sigma_px = self.track_sigma_px
         try:
             if increment is not None:
@@ -216,8 +218,8 @@ class SlamBackend:
             self._window.add_frame(self._filter, features)
             new_landmarks = partial(self._local_map.new_landmarks, frame=self._frame)
             self._window.finish(self._filter, self._map, self._frame, new_landmarks, everything=is_seen)
-            if self._tracks_end(features):
-                self._frame += LONG_FRAMES
+            if features.tracks.any() and outcome.tracked < LOST_SHARE * before:
+                self._frame += LONG_FRAMES  # all landmarks are as if long unseen
             outcome.matches, outcome.innovation, outcome.closures = self._local_map.correct(
                 features, self._frame, by_landmarks=not is_seen
             )
@@ -291,7 +293,7 @@ class SlamBackend:
             disparity=outcome.disparity,
             time_offset=outcome.time_offset,
             closures=outcome.closures,
-            tracked=self._continued(step.features),
+            tracked=outcome.tracked,
             coasted=step.increment is not None and associated == 0,
             gate_probability=self._config.gate_probability,
             smoothed=outcome.smoothed,
@@ -416,11 +418,6 @@ class SlamBackend:
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
         self._unaided = initial
         self._disparity_judge = DisparityJudge()
-
-    def _tracks_end(self, features: StereoFeatures) -> bool:
-        """Return whether hardly a track of the frame before goes on: then all landmarks are as if long unseen."""
-        tracks = features.tracks[features.tracks != 0]
-        return len(tracks) > 0 and np.isin(self._last_tracks, tracks).sum() < LOST_SHARE * len(self._last_tracks)
 
     def _continued(self, features: StereoFeatures) -> int:
         """Return how many points continue a track of the frame before."""

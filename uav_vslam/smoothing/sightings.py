@@ -106,9 +106,10 @@ def gather(flight: FilteredFlight) -> Sightings:
     known = np.flatnonzero(labels != 0)
     order = known[np.lexsort((states[known], labels[known]))]
     states, pixels, labels, ids = states[order], pixels[order], labels[order], ids[order]
-    points = _segments(labels, states, _stretches(flight, LONE_TRACKS))
+    going_on = _going_on(flight)
+    points = _segments(labels, states, np.cumsum(going_on < LONE_TRACKS))
     count = int(points[-1]) + 1 if len(points) else 0
-    landmarks = _revisited(points, states, ids, count, _stretches(flight, FEW_TRACKS))
+    landmarks = _revisited(points, states, ids, count, np.cumsum(going_on < FEW_TRACKS))
     first = states[np.searchsorted(points, np.arange(count))]
     number = np.empty(count, np.intp)
     number[np.argsort(first, kind="stable")] = np.arange(count)
@@ -140,20 +141,20 @@ def _columns(flight: FilteredFlight) -> tuple[Rows, Array, Rows, Rows]:
     )
 
 
-def _stretches(flight: FilteredFlight, least: int) -> Rows:
-    """Return (S,) the number of each state's stretch, in which so many tracks go on; one for all without any track."""
-    numbers, before = np.zeros(len(flight.states), np.intp), np.zeros(0, np.uint32)
+def _going_on(flight: FilteredFlight) -> Rows:
+    """Return (S,) how many tracks go on to each state from the frame before; `FEW_TRACKS` in a flight without any."""
+    counts, before = np.full(len(flight.states), FEW_TRACKS), np.zeros(0, np.uint32)
     if not any(frame.features.tracks.any() for frame in flight.frames):
-        return numbers
+        return counts
     for row, frame in zip(flight.state_rows.tolist(), flight.frames, strict=True):
         tracks = frame.features.tracks[frame.features.tracks != 0]
-        numbers[row] = len(np.intersect1d(tracks, before)) < least
+        counts[row] = len(np.intersect1d(tracks, before))
         before = tracks
-    return np.cumsum(numbers)
+    return counts
 
 
 def _segments(labels: Rows, states: Rows, stretches: Rows) -> Rows:
-    """Number the parts of each label that have no long gap and span at most `MAX_SPAN` states of one stretch."""
+    """Number the parts of each label without a long gap, each in at most `MAX_SPAN` states of one of the stretches."""
     if len(labels) == 0:
         return labels
     apart = (np.diff(labels) != 0) | (np.diff(states) >= LONG_FRAMES) | (np.diff(stretches[states]) != 0)
