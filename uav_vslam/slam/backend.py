@@ -18,7 +18,6 @@ from uav_vslam.estimation.filters import make_filter, past_poses
 from uav_vslam.estimation.rig_belief import DisparityEstimate, TimeOffset
 from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.disparity_judge import DisparityJudge
 from uav_vslam.slam.frame_report import FrameReport
@@ -28,7 +27,7 @@ from uav_vslam.slam.landmark_map import LONG_FRAMES, LandmarkMap
 from uav_vslam.slam.local_map import LocalMap
 from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.slam.matches import Matches
-from uav_vslam.slam.recovery import reinitialised
+from uav_vslam.slam.recovery import Fallbacks, reinitialised
 from uav_vslam.slam.seen_motion import MotionFinder, Step
 from uav_vslam.slam.track_noise import TrackNoise
 from uav_vslam.slam.track_window import Present, TrackWindow
@@ -42,9 +41,7 @@ from uav_vslam.types import (
 )
 
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
-TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
 LOST_SHARE = 0.1  # of the tracks of the frame before: if fewer go on, landmarks are found by their looks alone
-UNAIDED_S = 1.0  # a vibration from the start on is noticed by then
 
 
 @dataclass(slots=True)
@@ -108,8 +105,7 @@ class SlamBackend:
         self._track_noise, self._flexing = TrackNoise(), config.rig.flexing
         self._present_rig = rig  # as the tracks correct it
         self._nav = initial
-        self._unaided: NavEstimate | None = None  # by the IMU alone, for a while: no image has spoilt it
-        self._confirmed = initial  # the newest estimate that an image has confirmed
+        self._fallbacks = Fallbacks(initial)
         self._increment: ImuIncrement | None = None  # the newest
         self._time_offset_s = 0.0  # of the cameras' clock, about which a filter begins
         self._reset(initial)
@@ -189,10 +185,11 @@ class SlamBackend:
         self._track_noise.add(features, self._present_rig)
         step = self._step(increment, features)
         self._increment, features = step.increment, step.features
-        self._propagate_unaided(increment)
+        if increment is not None:
+            self._fallbacks.propagate(increment, self._vehicle_config.imu)
         outcome = self._estimate(step)
         if outcome.is_confirmed:
-            self._confirmed = self._nav
+            self._fallbacks.confirm(self._nav)
         self._look_for_faults(outcome, step, increment, R_map_body)
         if outcome.recovery:
             outcome.give_up()
@@ -250,11 +247,13 @@ class SlamBackend:
         missed = not outcome.is_confirmed and min(len(step.features), outcome.known) >= MIN_FEATURES
         if vibration := self._noticed_vibration():
             self._imu_fault = ImuFaultDetector(self._vehicle_config.imu.gravity)  # images missed for another reason
-            outcome.recovery, outcome.restart = vibration, self._unaided
+            outcome.recovery, outcome.restart = vibration, self._fallbacks.unaided
         elif increment is not None and self._imu_fault.add(
             increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
         ):
-            self._nav, outcome.recovery = self._since_confirmed(), self._imu_fault.reason
+            imu, is_gyro_healthy = self._vehicle_config.imu, self._imu_fault.is_gyro_healthy
+            self._nav = self._fallbacks.without_readings(self._nav, imu, is_gyro_healthy=is_gyro_healthy)
+            outcome.recovery = self._imu_fault.reason
 
     def _trusting(self, present: Present) -> Present:
         """Return an estimate of the present that trusts the calibration as long as that is not judged."""
@@ -338,10 +337,10 @@ class SlamBackend:
             start: what to go on from, because the frames contradict the start state; None for an estimate that
                 has lost its positive definiteness.
         """
-        unaided = self._unaided
+        unaided = self._fallbacks.unaided
         self._recover(start)
         if start is not None:  # a vibration that shows next explains the frames as well: back to the start itself then
-            self._unaided = unaided
+            self._fallbacks.unaided = unaided
         added = self._local_map.add(features, self._frame, matches=Matches.none())
         return dataclasses.replace(
             report,
@@ -356,13 +355,6 @@ class SlamBackend:
             sightings=self._local_map.new_sightings(added),
         )
 
-    def _propagate_unaided(self, increment: ImuIncrement | None) -> None:
-        """Propagate what the filter was initialised with by the IMU alone."""
-        if self._unaided is None or increment is None:
-            return
-        is_recent = increment.stamp_ns - self._reset_ns <= UNAIDED_S * NS_PER_S
-        self._unaided = advance(self._unaided, increment, self._vehicle_config.imu) if is_recent else None
-
     def _noticed_vibration(self) -> str:
         """Count the rig as flexing from when its images show that it vibrates; return how, that once."""
         if self._flexing:
@@ -375,17 +367,6 @@ class SlamBackend:
             "the cameras vibrate against each other, or are not exposed at the same time: the right points of an image "
             f"are off together, by {vibration_px:.2f} px rms; rig.flexing is taken for true from now on: set it"
         )
-
-    def _since_confirmed(self) -> NavEstimate:
-        """Return the estimate of the newest frame, as if the readings since the last confirmed one had been missing."""
-        before, now, imu = self._confirmed, self._nav.state, self._vehicle_config.imu
-        unknown = unknown_motion_since(before.state, now.stamp_ns, imu)
-        if self._imu_fault.is_gyro_healthy:
-            covariance = unknown.covariance.copy()
-            covariance[:3, :3] = TURNED_RAD**2 * np.eye(3)
-            turned = before.state.T_map_body.R.T @ now.T_map_body.R
-            unknown = dataclasses.replace(unknown, delta_R=turned, covariance=covariance)
-        return advance(before, unknown, imu)
 
     @property
     def imu_fault(self) -> str:
@@ -416,7 +397,7 @@ class SlamBackend:
         self._filter.expect_time_offset(self._time_offset_s)
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
-        self._unaided = initial
+        self._fallbacks.begin(initial)
         self._disparity_judge = DisparityJudge()
 
     def _continued(self, features: StereoFeatures) -> int:

@@ -5,15 +5,18 @@ The covariance of a lost one is inflated, but not without bound: recoveries may 
 of them makes an estimate that no filter can work with, which fails again at once, and so on.
 """
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.ins.increments import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA
+from uav_vslam.ins.increments import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA, unknown_motion_since
+from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, NAV_DIM, POSITION, ROTATION, VELOCITY
 from uav_vslam.numerics import cholesky, symmetrise
-from uav_vslam.types import NavEstimate
+from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate
 
 Array = NDArray[np.float64]
 
@@ -24,6 +27,52 @@ MOST_POSITION_SIGMA = 1000.0
 # By how many times its sigmas a start that the first frames contradict may be off: position, which defines the map,
 # velocity, tilt, heading, biases. A wider tilt would be linearised too far from the truth where landmarks are noisy.
 START_INFLATION = np.repeat([1.0, 10.0, 3.0, 10.0, 3.0], [3, 3, 2, 1, 6])
+UNAIDED_S = 1.0  # a vibration from the start on is noticed by then
+TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
+
+
+class Fallbacks:
+    """Estimates of the present that faulty images, or a faulty IMU, have not spoilt.
+
+    Attributes:
+        unaided: what the filter began with, propagated by the IMU alone; None once it has drifted for `UNAIDED_S`.
+    """
+
+    def __init__(self, initial: NavEstimate) -> None:
+        self.confirm(initial)
+        self.begin(initial)
+
+    def begin(self, initial: NavEstimate) -> None:
+        """Start over with what a filter begins with."""
+        self.unaided: NavEstimate | None = initial
+        self._began_ns = initial.state.stamp_ns
+
+    def propagate(self, increment: ImuIncrement, imu: ImuConfig) -> None:
+        """Propagate the unaided estimate to the next frame."""
+        if self.unaided is not None:
+            is_recent = increment.stamp_ns - self._began_ns <= UNAIDED_S * NS_PER_S
+            self.unaided = advance(self.unaided, increment, imu) if is_recent else None
+
+    def confirm(self, estimate: NavEstimate) -> None:
+        """Take over an estimate that an image has confirmed."""
+        self._confirmed = estimate
+
+    def without_readings(self, now: NavEstimate, imu: ImuConfig, *, is_gyro_healthy: bool) -> NavEstimate:
+        """Return the present estimate as if the readings since the last confirmed one had been missing.
+
+        Args:
+            now: the estimate by these readings.
+            imu: noise.
+            is_gyro_healthy: whether their angular rates count nevertheless.
+        """
+        before = self._confirmed
+        unknown = unknown_motion_since(before.state, now.state.stamp_ns, imu)
+        if is_gyro_healthy:
+            covariance = unknown.covariance.copy()
+            covariance[:3, :3] = TURNED_RAD**2 * np.eye(3)
+            turned = before.state.T_map_body.R.T @ now.state.T_map_body.R
+            unknown = dataclasses.replace(unknown, delta_R=turned, covariance=covariance)
+        return advance(before, unknown, imu)
 
 
 def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> NavEstimate:
