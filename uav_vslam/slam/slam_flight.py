@@ -211,7 +211,7 @@ class SlamFlight:
         return dataclasses.replace(joint, prior_id=start_map.hash, other_sources=start_map.origin.sources)
 
     def _archive_landmarks(self, report: FrameReport, joint: JointInformation | None) -> str:
-        """Collect landmarks for the map; return why they are left out, empty if they are not."""
+        """Collect landmarks for the map; return why they are left out until a later epoch, empty if they are not."""
         if self.archive is None:
             return ""
         for sightings in (report.late_sightings, report.sightings):
@@ -220,7 +220,7 @@ class SlamFlight:
             if joint is not None:
                 self.archive.add(joint)
         except FilterDivergence as error:
-            return f"landmarks may be missing in the map of this flight: {error}"
+            return f"landmarks are left out of the map of this flight, unless a later epoch adds them: {error}"
         return ""
 
     def _noise_warnings(self, track_sigma_px: float, increment: ImuIncrement | None) -> list[str]:
