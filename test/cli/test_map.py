@@ -212,9 +212,13 @@ def test_an_interrupted_map_leaves_nothing_and_one_that_was_killed_is_started_ag
 
 @pytest.mark.parametrize(
     ("words", "message"),
-    [(["--yaw", "30"], "--datum LAT LON ALT"), (["--datum", "91", "0", "0"], "latitude 91 of the datum")],
+    [
+        (["--yaw", "30"], "--datum LAT LON ALT"),
+        (["--datum", "91", "0", "0"], "latitude 91 of the datum"),
+        (["--config", "sample", "--set", "fusion.common_origin=false"], "map one of them: --vehicles NAME"),
+    ],
 )
-def test_half_a_datum_is_refused_before_anything_is_flown(
+def test_what_can_not_be_mapped_is_refused_before_anything_is_flown(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
     assert main(["map", str(bag), "--results", str(tmp_path), *words]) == 2

@@ -11,7 +11,7 @@ from uav_vslam.argument_types import positive_number
 from uav_vslam.cli.arguments import RESULTS, add_datum, datum_of, first_given
 from uav_vslam.cli.messages import say, warn, warn_each
 from uav_vslam.cli.progress import progress_bar
-from uav_vslam.cli.run import SHEET, add_options, flown
+from uav_vslam.cli.run import SHEET, add_options, configured, flown
 
 if TYPE_CHECKING:
     from uav_vslam.cli.map_inputs import MappedFlight
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     """Fly, or take a flight; map; print figures and times."""
     import cv2
 
-    from uav_vslam.cli.map_inputs import is_result, mapped_flights
+    from uav_vslam.cli.map_inputs import is_result, mapped_flights, require_one_frame
     from uav_vslam.datasets.unfinished import require_new, unfinished
     from uav_vslam.errors import ConfigError, UavVslamError
     from uav_vslam.report.page.map_folder import MAP
@@ -86,7 +86,9 @@ def run(args: argparse.Namespace) -> int:
     if not is_result(folder):
         if args.bags:
             raise UavVslamError("--bags goes with a results folder; name the recordings themselves to run them")
-        folder, code = flown(args)
+        bags, configs = configured(args)
+        require_one_frame(configs)
+        folder, code = flown(args, bags, configs)
     elif len(args.inputs) > 1:
         raise UavVslamError(f"{folder} is a results folder, so no other input goes with it; map one at a time")
     elif given := first_given(_of_runs(args)):

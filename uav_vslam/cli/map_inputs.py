@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ from uav_vslam.mapping.anchoring import anchored
 from uav_vslam.mapping.flight_views import flight_views
 
 if TYPE_CHECKING:
+    from uav_vslam.config import VehicleConfig
     from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.mapping.view import View
 
@@ -49,6 +50,14 @@ def is_result(path: Path) -> bool:
     return (path / SUMMARY).is_file()
 
 
+def require_one_frame(configs: Mapping[str, VehicleConfig]) -> None:
+    """Refuse vehicles, by name, that do not share a map frame."""
+    if len(configs) > 1 and not all(config.fusion.common_origin for config in configs.values()):
+        raise UavVslamError(
+            "the vehicles have map frames of their own (fusion.common_origin: false); map one of them: --vehicles NAME"
+        )
+
+
 def mapped_flights(folder: Path, bags: Sequence[Path] | None, vehicles: Sequence[str] | None) -> list[MappedFlight]:
     """Return the flights of a results folder.
 
@@ -68,10 +77,7 @@ def mapped_flights(folder: Path, bags: Sequence[Path] | None, vehicles: Sequence
     if missing := sorted(set(names) - set(tracks)):
         raise UavVslamError(f"{folder} has no flight of {', '.join(missing)}; it has {', '.join(tracks)}")
     configs = {name: configs[name] for name in names}
-    if len(names) > 1 and not all(config.fusion.common_origin for config in configs.values()):
-        raise UavVslamError(
-            "the vehicles have map frames of their own (fusion.common_origin: false); map one of them: --vehicles NAME"
-        )
+    require_one_frame(configs)
     flights = open_flights(bags or _recorded(folder), configs)
     return [MappedFlight(flights[name], _poses(name, tracks[name])) for name in names]
 

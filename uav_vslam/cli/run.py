@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,11 +67,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, evaluate, write; return 2 where a recording is truncated, after using what can be read."""
-    return flown(args)[1]
+    return flown(args, *configured(args))[1]
 
 
-def flown(args: argparse.Namespace) -> tuple[Path, int]:
-    """Run, evaluate, write; return the results folder and the exit code."""
+def flown(args: argparse.Namespace, bags: tuple[Path, ...], configs: Mapping[str, VehicleConfig]) -> tuple[Path, int]:
+    """Run vehicles, by name, of recordings; evaluate, write; return the results folder and the exit code."""
     from uav_vslam.config import load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
@@ -84,7 +84,6 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.report.page.page import NAME as PAGE_NAME
     from uav_vslam.report.table import print_summary
 
-    bags, configs = _configured(args)
     links = partial(link_between, load_link(args.link)) if args.link else None
     if links is not None and len(configs) < 2:
         raise ConfigError(f"--link connects vehicles, and only {', '.join(configs)} flies; leave it out")
@@ -126,7 +125,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     return folder, 2 if broken else 0
 
 
-def _configured(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
+def configured(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
     """Return the bags and each vehicle's configuration, after warnings about them."""
     from uav_vslam.config import idle_settings, separate_maps
 
