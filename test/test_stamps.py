@@ -54,6 +54,15 @@ def test_a_few_wrong_stamps_are_refused_and_cost_nothing_else(offset_s: float, c
     assert f"IMU stamps jump by {offset_s + 0.2:+.1f} s" in line.refusal
 
 
+@pytest.mark.parametrize(("late_ns", "said"), [(300_000, "-0.3 ms"), (5_000_000, "-5 ms"), (400_000_000, "-400 ms")])
+def test_a_late_reading_is_said_to_be_late_by_more_than_nothing(late_ns: int, said: str) -> None:
+    line = both()
+    feed(line, seconds(0, 10))
+    feed(line, [seconds(0, 10)[-1] - late_ns], ("IMU",))
+    feed(line, seconds(10, 11))
+    assert line.refusal.startswith(f"IMU stamps jump by {said} to ")
+
+
 @pytest.mark.parametrize("offset_s", [-3600.0, -10.0, -2.0, 5.2, 10.0, 3600.0])
 def test_a_clock_that_was_set_is_followed_by_all_streams_and_no_item_is_lost(offset_s: float) -> None:
     line = both()

@@ -51,10 +51,8 @@ class TimeJump:
 
     def __str__(self) -> str:
         or_silent = "" if self.is_back else ", or they were silent"
-        return (
-            f"the clock of {self.streams} jumped by {self.size_s:+.1f} s{or_silent}, from {self.from_ns} to "
-            f"{self.to_ns} ns"
-        )
+        size = _signed(self.to_ns - self.from_ns)
+        return f"the clock of {self.streams} jumped by {size}{or_silent}, from {self.from_ns} to {self.to_ns} ns"
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,10 +247,10 @@ class TimeLine(Generic[T]):
         """Return how far a stream's run is off its time line, and which other streams are not."""
         stream = self._streams[name]
         if stream.newest_ns is None:  # never on the time line: the reference is elsewhere
-            apart_s = (stream.run_ns - (self._streams[self._reference].newest_ns or 0)) / NS_PER_S
-            return f"{name} stamps are {apart_s:+.1f} s from those of {self._reference}: {DISAGREEING}"
+            apart = _signed(stream.run_ns - (self._streams[self._reference].newest_ns or 0))
+            return f"{name} stamps are {apart} from those of {self._reference}: {DISAGREEING}"
         still = [key for key in self._streams if key != name and not self._is_confirmed(key)]
-        text = f"{name} stamps jump by {stream.off_ns / NS_PER_S:+.1f} s to {stream.run_ns} ns"
+        text = f"{name} stamps jump by {_signed(stream.off_ns)} to {stream.run_ns} ns"
         return f"{text}, but not those of {' and '.join(still)}: {DISAGREEING}" if still else text
 
 
@@ -261,3 +259,8 @@ def _has_begun_after(stream: _Stream[T], jumped: _Stream[T]) -> bool:
     if jumped.newest_ns is None or stream.began < jumped.reached:
         return False
     return abs(stream.first_ns - jumped.run[0][1]) < abs(stream.first_ns - jumped.newest_ns)
+
+
+def _signed(time_ns: int) -> str:
+    """Return a time in words, in a unit in which it is not zero."""
+    return f"{time_ns / NS_PER_S:+.1f} s" if abs(time_ns) >= NS_PER_S else f"{time_ns / 1e6:+.4g} ms"
