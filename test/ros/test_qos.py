@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
+import rclpy
 from node_processes import Witness, running
 from rclpy.duration import Duration
 from rclpy.qos import (
@@ -17,7 +18,13 @@ from rclpy.qos import (
 )
 
 from uav_vslam.ros.fleet_commands import NodeSpec
+from uav_vslam.ros.fusion_node import FusionNode
+from uav_vslam.ros.idle_qos import names_of_overrides
+from uav_vslam.ros.ins_propagator_node import InsPropagatorNode
+from uav_vslam.ros.mapper_node import MapperNode
 from uav_vslam.ros.qos import RADIO, compatible_qos
+from uav_vslam.ros.slam_backend_node import SlamBackendNode
+from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode
 
 pytestmark = pytest.mark.ros
 MODES = sorted(RADIO)
@@ -57,10 +64,30 @@ def test_the_modes_are_those_of_the_design() -> None:
     assert NARROW.lifespan == Duration(seconds=2)
 
 
-def test_an_override_of_a_topic_that_the_node_does_not_have_is_named(domain_id: int, tmp_path: Path) -> None:
+def test_an_override_that_no_node_has_is_named_but_not_one_of_another_node(domain_id: int, tmp_path: Path) -> None:
+    """A parameter file is shared by all nodes."""
     right, wrong = (f"qos_overrides./uav1/fused/{name}.publisher.depth" for name in ("odometry", "odometri"))
-    spec = NodeSpec("fusion", "fusion", "/uav1", {right: 5, wrong: 5})
-    with Witness(domain_id) as witness, running([spec], tmp_path, domain_id):
+    others = [
+        "qos_overrides./uav1/ins/odometry.publisher.depth",
+        "qos_overrides./uav2/odometry.subscription.depth",
+        "qos_overrides./camera/left.subscription.depth",
+    ]
+    nobodys = ["qos_overrides./uav1/ins/odometry.subscription.depth", "qos_overrides./uav2/left.subscription.depth"]
+    given = dict.fromkeys((right, *others, wrong, *nobodys), 5) | {"input.topics.left": "/camera/left"}
+    with Witness(domain_id) as witness, running([NodeSpec("fusion", "fusion", "/uav1", given)], tmp_path, domain_id):
         assert witness.sees(lambda: witness.text("uav1: fusion"))
     (line,) = [line for line in (tmp_path / "fusion.log").read_text().splitlines() if "without effect" in line]
-    assert f"{wrong}; did you mean {right}?" in line
+    assert f": {', '.join([wrong, *nobodys])}; did you mean {right}?" in line
+
+
+def test_the_overrides_that_count_as_known_are_those_that_the_nodes_declare(domain_id: int) -> None:
+    declared: set[str] = set()
+    for method in ("given", "in_flight"):  # the node that finds the start publishes it
+        for make in (StereoFrontendNode, InsPropagatorNode, SlamBackendNode, FusionNode, MapperNode):
+            rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", f"start.method:={method}"], domain_id=domain_id)
+            node = make()
+            declared |= {key for key in node.list_parameters([], 0).names if key.startswith("qos_overrides")}
+            known = names_of_overrides(node)
+            node.destroy_node()
+            rclpy.shutdown()
+    assert declared == known

@@ -2,7 +2,6 @@
 """ROS parameters from the configuration classes: names, types, ranges and texts have their one home in `config`."""
 
 import contextlib
-import difflib
 import json
 import math
 import typing
@@ -56,17 +55,6 @@ def read(node: Node, cls: type[Config]) -> Config:
     check_names(given, VehicleConfig, *(parameters.own for parameters in NODES.values()), where=where)
     names = all_settings(cls)
     return build(cls, {name: value for name, value in given.items() if name in names}, where=where)
-
-
-def warn_of_idle_qos(node: Node) -> None:
-    """Warn of qos_overrides.* of a node that has opened its topics: those that none of them has declared do nothing."""
-    given = [name for name in node._parameter_overrides if name.startswith(QOS_OVERRIDES)]
-    idle = [name for name in given if not node.has_parameter(name)]
-    if idle:
-        known = [str(name) for name in node._parameters if name.startswith(QOS_OVERRIDES)]
-        near = difflib.get_close_matches(idle[0], known, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        node.get_logger().warning(f"without effect, for no topic of this node is set so: {', '.join(idle)}{hint}")
 
 
 def declare(node: Node, config: Settings, names: typing.Iterable[str] | None = None) -> None:

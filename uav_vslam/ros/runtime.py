@@ -22,9 +22,9 @@ from uav_vslam.memory import keep_freed_memory
 from uav_vslam.processes import ending_signals
 from uav_vslam.ros.domain import check_domain
 from uav_vslam.ros.executor import LeanExecutor
+from uav_vslam.ros.idle_qos import warn_of_idle_qos
 from uav_vslam.ros.leaving import leaving
 from uav_vslam.ros.log_folder import log_folder
-from uav_vslam.ros.params import warn_of_idle_qos
 from uav_vslam.ros.transport import environment, udp_alone
 
 
