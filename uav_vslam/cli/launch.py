@@ -161,6 +161,7 @@ def launch(
     from uav_vslam.ros.domain import check_domain
     from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services
     from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor
+    from uav_vslam.ros.vehicle_lock import only_launch_of
 
     check_domain(domain_id)
     here = fleet.chosen(vehicles)
@@ -170,9 +171,6 @@ def launch(
     specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, record=bag, maps=maps)
     if not parameter_services:
         specs = [without_parameter_services(spec) for spec in specs]
-    _remove_leftovers()
-    _warn_without_key(fleet)
-    warn_each(text for text in (separate_maps(fleet.vehicles), idle_radio(fleet, vehicles)) if text)
     supervisor = Supervisor(
         _environment(domain_id, log_dir, own_radio=fleet.radio.domain_id >= 0 or not vehicles),
         restarts=restarts,
@@ -180,10 +178,14 @@ def launch(
         on_line=on_line,
         escalation=SAVING if maps else ESCALATION,
     )
-    try:
-        return supervisor.run([node_command(spec, log_level) for spec in specs])
-    finally:
+    with only_launch_of(here):
         _remove_leftovers()
+        _warn_without_key(fleet)
+        warn_each(text for text in (separate_maps(fleet.vehicles), idle_radio(fleet, vehicles)) if text)
+        try:
+            return supervisor.run([node_command(spec, log_level) for spec in specs])
+        finally:
+            _remove_leftovers()
 
 
 def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> None:
