@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder says where it can't record, and when a vehicle whose nodes are there is no longer heard."""
 
+import contextlib
 import subprocess
 import sys
 from pathlib import Path
@@ -10,10 +11,12 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from lone_node import lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
-from node_processes import Witness  # noqa: E402
+from node_processes import Witness, running  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
+from uav_vslam.datasets.unindexed_mcap import readable_messages  # noqa: E402
 from uav_vslam.ros import recorder_node  # noqa: E402
+from uav_vslam.ros.fleet_commands import NodeSpec  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -61,3 +64,26 @@ def test_an_output_in_a_place_where_nothing_can_be_made_is_one_line(tmp_path: Pa
     done = subprocess.run([*command, "-p", f"output:={output}"], capture_output=True, text=True)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert f"{output}: can't be made" in done.stderr
+
+
+def test_a_recorder_that_is_killed_loses_no_more_than_what_came_since_its_last_report(
+    domain_id: int, tmp_path: Path
+) -> None:
+    spec = NodeSpec("recorder", "recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]})
+    message, file = Odometry(), tmp_path / "out" / "out.mcap"
+    with Witness(domain_id) as witness, running([spec], tmp_path, domain_id) as processes:
+        publisher = witness.node.create_publisher(Odometry, "/uav1/odometry", 10)
+
+        def publish() -> None:
+            message.header.stamp.sec += 1
+            publisher.publish(message)
+
+        assert witness.sees(lambda: int(witness.value(RECORDER, "written") or 0) > 20, publish)
+        written = int(witness.value(RECORDER, "written"))
+        processes["recorder"].kill()
+        processes["recorder"].wait()
+    found = 0
+    with contextlib.suppress(EOFError):
+        for _ in readable_messages(file):
+            found += 1
+    assert found >= written

@@ -103,6 +103,12 @@ class RawRecorder:
             self._writer.write(connection, stamp_ns, data)
         self._taken += 1
 
+    def flush(self) -> None:
+        """Write the messages of a retrying bag that wait in memory, which a process that is killed would lose."""
+        storage = self._writer.storage
+        if self._file is not None and isinstance(storage, McapWriter) and storage.chunk.msgs:
+            storage.close_chunk()
+
     def is_full(self) -> bool:
         """Try to write what a retrying bag holds back, and return whether its disk is still full."""
         if self._file is not None:

@@ -8,9 +8,9 @@ in   /<vehicle>/odometry, fused/odometry, ins/dead_reckoning, ground_truth/odome
      /diagnostics                                                                      diagnostic_msgs/DiagnosticArray
 out  /diagnostics                                                                      the recorder's own status
 
-Messages are written byte for byte, with their header stamps. The bag is complete after SIGINT or SIGTERM. While the
-disk is full, messages are dropped and counted, and the status is ERROR; with room again, recording goes on. If it is
-full at the end, the exit code is 1.
+Messages are written byte for byte, with their header stamps. The bag is complete after SIGINT or SIGTERM; where the
+recorder was killed, its end and the last second are missing. While the disk is full, messages are dropped and counted,
+and the status is ERROR; with room again, recording goes on. If it is full at the end, the exit code is 1.
 """
 
 import time
@@ -116,6 +116,8 @@ class RecorderNode(Node):
         return [one.topic_name for one in self._inputs if one.get_publisher_count() == 0]
 
     def _report(self) -> None:
+        if not self._bag.is_full():
+            self._bag.flush()
         values = {"written": str(self._written), "dropped": str(self._dropped)}
         level, text = self._health()
         self._diagnostics.publish(status_message("fleet: recorder", values, level=level, text=text))
