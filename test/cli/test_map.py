@@ -48,6 +48,7 @@ def test_a_map_of_two_vehicles_lies_on_the_true_ground(result: Path) -> None:
     tree = json.loads((result / "map/map.json").read_text())
     assert {name: vehicle["views"] for name, vehicle in tree["vehicles"].items()} == {"uav1": 7, "uav2": 7}
     assert sum(vehicle["share"] for vehicle in tree["vehicles"].values()) == pytest.approx(1.0)
+    assert (tree["frame"], tree["north_up"]) == ("world", True)
     assert tree["surface"]["coverage"] > 0.8
     assert tree["gsd_m"] == pytest.approx(70.0 / (1642.0 * 0.375), rel=0.05)
     grid = HeightGrid.open(result / "map/tiles")
@@ -98,6 +99,7 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
     assert axes == ["y [m]", "y [m]"]  # not north
     tree = json.loads((result / "map/map.json").read_text())
     assert list(tree["vehicles"]) == ["uav2"]
+    assert not tree["north_up"]
     assert tree["orthomosaic"]["m_per_px"] == 0.3
     assert tree["datum"] == {"latitude_deg": -28.2325, "longitude_deg": 153.0012, "height_m": 20.0, "yaw_deg": 30.0}
     assert not (result / "map/orthomosaic.png").exists()
@@ -144,6 +146,21 @@ def test_a_map_goes_to_the_flight_that_latest_named_at_the_start(
     assert (flight / "map/map.json").is_file()
     assert (flight / "report.html").is_file()
     assert not list(other.iterdir())
+
+
+def test_the_axes_of_a_frame_that_a_start_defines_are_not_called_east_and_north(
+    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy, axes = flown_only(result, tmp_path), []
+    config = (copy / "config.yaml").read_text()
+    (copy / "config.yaml").write_text(config.replace("method: given", "method: in_flight"))
+    monkeypatch.setattr(
+        "uav_vslam.report.height_picture.save", lambda drawn, _: axes.append(drawn.axes[0].get_xlabel())
+    )
+    assert main(["map", str(copy), "--vehicles", "uav1", "--cell", "2"]) == 0
+    assert axes == ["x [m]", "x [m]"]
+    assert not json.loads((copy / "map/map.json").read_text())["north_up"]
+    assert "x to the right, y up" in (copy / "report.html").read_text()
 
 
 def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(

@@ -13,13 +13,14 @@ from uav_vslam.mapping.flown_map import UNSEEN_GREY, FlownMap
 from uav_vslam.mapping.orthomosaic.heights import GridHeights
 from uav_vslam.mapping.orthomosaic.in_flight import MOST_WAITING, FlownOrthomosaic
 from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic
+from uav_vslam.mapping.summary import MapFrame
 from uav_vslam.mapping.surface.grid import HeightGrid
 
 VIEWS = 24
 
 
 def flown(folder: Path | None = None, *, pixel_m: float = 0.25, views: int = VIEWS) -> FlownMap:
-    found = FlownMap(folder, cell_m=1.0, pixel_m=pixel_m)
+    found = FlownMap(folder, MapFrame("uav1/map", north_up=True), cell_m=1.0, pixel_m=pixel_m)
     for k in range(views):
         found.add(view(k))
     return found

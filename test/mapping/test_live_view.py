@@ -7,6 +7,7 @@ import pytest
 from uav_vslam.mapping import flown_map
 from uav_vslam.mapping.flown_map import FlownMap
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.summary import MapFrame
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.samples import CellSamples
 from uav_vslam.mapping.tile_store import SIDE
@@ -52,7 +53,7 @@ def test_triangles_cover_a_patch_once_across_the_edges_of_tiles(patch: Raster, s
 def test_points_of_a_large_map_are_those_of_every_so_many_rows_and_columns(
     patch: Raster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = FlownMap(None, cell_m=CELL_M, pixel_m=0.0)
+    found = FlownMap(None, MapFrame("uav1/map", north_up=True), cell_m=CELL_M, pixel_m=0.0)
     add_patch(found.grid, patch)
     everything, _ = found.coloured()
     assert (found.stride, len(everything)) == (1, patch.rows * patch.columns)
@@ -64,7 +65,7 @@ def test_points_of_a_large_map_are_those_of_every_so_many_rows_and_columns(
 
 
 def test_ground_that_was_not_flown_over_costs_nothing() -> None:
-    found = FlownMap(None, cell_m=CELL_M, pixel_m=0.0)
+    found = FlownMap(None, MapFrame("uav1/map", north_up=True), cell_m=CELL_M, pixel_m=0.0)
     for place_m in (0.0, FAR_M):
         add_patch(found.grid, Raster.covering([[place_m, place_m], [place_m + 9.0, place_m + 9.0]], CELL_M))
     points, _ = found.coloured()

@@ -16,6 +16,7 @@ from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.overlap import Overlap
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.summary import MapFrame
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.samples import CellSamples
 from uav_vslam.mapping.surface_files import write_surface
@@ -57,7 +58,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("surface")
     tracemalloc.start()
     try:
-        tree = write_surface(grid, overlap, mapper, folder)
+        tree = write_surface(grid, overlap, mapper, folder, MapFrame("uav1/map", north_up=True))
         _, most_bytes = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper makes of images and late poses the surface that the core makes of the same views."""
 
+import json
 import math
 import resource
 from collections.abc import Callable, Iterator
@@ -104,6 +105,8 @@ def test_the_saved_map_is_that_of_the_core(make: Make, tmp_path: Path) -> None:
     assert np.nanmedian(np.abs(ours - theirs)) < 1e-4
     assert node.counts["views"] == VIEWS
     assert (tmp_path / "map" / "height.tif").is_file()
+    tree = json.loads((tmp_path / "map" / "map.json").read_text())
+    assert (tree["frame"], tree["north_up"]) == (node.map_frame, True)
 
 
 def test_in_flight_only_tiles_are_saved_and_the_rest_at_the_end(make: Make, tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ SUMMARY = {
     "orthomosaic": {"m_per_px": 0.1, "width": 2000, "height": 1000, "seam_px": 1200},
     "model": {"triangles": 1800, "bytes": 1},
     "accuracy": {"ce90_m": 0.21, "le90_m": 0.33, "claimed": True},
-    "frame": "map",
+    "frame": "world",
+    "north_up": True,
 }
 SIDE = 30  # cells of the model's surface
 

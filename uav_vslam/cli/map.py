@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from uav_vslam.cli.run import SHEET, add_options, configured, flown
 if TYPE_CHECKING:
     from uav_vslam.cli.map_inputs import MappedFlight
     from uav_vslam.evaluation.files.geodetic import Datum
+    from uav_vslam.mapping.summary import MapFrame
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
 
 HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
@@ -98,11 +100,13 @@ def run(args: argparse.Namespace) -> int:
     out = folder / MAP
     if out.exists():
         raise UavVslamError(f"{out} exists already; move it away to map this flight again")
-    flights = mapped_flights(folder, args.bags, args.vehicles)
+    flights, frame = mapped_flights(folder, args.bags, args.vehicles)
+    if datum is not None:
+        frame = replace(frame, north_up=datum.yaw_deg == 0.0)
     warn_each(require_new(out))
     cv2.setNumThreads(1)
     with unfinished(out) as partial:
-        cells = write_map(flights, partial, args.cell, args.pixel, datum)
+        cells = write_map(flights, frame, partial, args.cell, args.pixel, datum)
     print(f"map: {out}")
     if not args.no_plots:
         print(f"page: {write_page([folder])}")
@@ -119,12 +123,18 @@ def _of_runs(args: argparse.Namespace) -> dict[str, object]:
 
 
 def write_map(
-    flights: list[MappedFlight], folder: Path, cell_m: float, pixel_m: float | None, datum: Datum | None
+    flights: list[MappedFlight],
+    frame: MapFrame,
+    folder: Path,
+    cell_m: float,
+    pixel_m: float | None,
+    datum: Datum | None,
 ) -> int:
     """Map flights into a new folder, print what was found, and return the number of cells with a height.
 
     Args:
         flights: to be mapped.
+        frame: of their poses.
         folder: for the files.
         cell_m: side of a cell of the height grid [m].
         pixel_m: side of a pixel of the orthomosaic [m]; None for the default.
@@ -148,15 +158,14 @@ def write_map(
             mapper.add_view(view)
             overlap.add(view)
     mapper.finish()
-    tree = write_surface(grid, overlap, mapper, folder, datum)
+    tree = write_surface(grid, overlap, mapper, folder, frame, datum)
     if grid.extent.columns:
         tree |= write_picture_and_model(flights, grid, folder, pixel_m or default_pixel_m(grid.extent), datum)
         for vehicle, share in tree.pop("shares").items():
             tree["vehicles"][vehicle]["share"] = share
     write_json(folder / FIGURES, tree)
     extent, counts = overlap.count(grid)
-    frame = frame_of(north=datum is None or datum.yaw_deg == 0.0)
-    draw_ground(grid.height(extent), counts, extent.bounds_m, frame, folder)
+    draw_ground(grid.height(extent), counts, extent.bounds_m, frame_of(north=frame.north_up), folder)
     print_map(tree, _times_ms(mapper))
     if mapper.least_cell_m:
         count, least_m = mapper.refused[SMALL_CELLS], mapper.least_cell_m

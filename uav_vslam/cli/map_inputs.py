@@ -17,6 +17,7 @@ from uav_vslam.evaluation.output import CONFIG, SUMMARY
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.anchoring import anchored
 from uav_vslam.mapping.flight_views import flight_views
+from uav_vslam.mapping.summary import MapFrame
 
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
@@ -58,8 +59,10 @@ def require_one_frame(configs: Mapping[str, VehicleConfig]) -> None:
         )
 
 
-def mapped_flights(folder: Path, bags: Sequence[Path] | None, vehicles: Sequence[str] | None) -> list[MappedFlight]:
-    """Return the flights of a results folder.
+def mapped_flights(
+    folder: Path, bags: Sequence[Path] | None, vehicles: Sequence[str] | None
+) -> tuple[list[MappedFlight], MapFrame]:
+    """Return the flights of a results folder, and the frame of their poses.
 
     Args:
         folder: of a run.
@@ -79,7 +82,19 @@ def mapped_flights(folder: Path, bags: Sequence[Path] | None, vehicles: Sequence
     configs = {name: configs[name] for name in names}
     require_one_frame(configs)
     flights = open_flights(bags or _recorded(folder), configs)
-    return [MappedFlight(flights[name], _poses(name, tracks[name])) for name in names]
+    found = [MappedFlight(flights[name], _poses(name, tracks[name])) for name in names]
+    return found, _frame(configs, fused=any(_is_fused(tracks[name]) for name in names))
+
+
+def _frame(configs: Mapping[str, VehicleConfig], *, fused: bool) -> MapFrame:
+    """Return the frame of vehicles' poses: that which they share, or the one vehicle's own unless it was fused."""
+    name, config = next(iter(configs.items()))
+    frames, common = config.frames, config.fusion.common_origin
+    of_own = len(configs) == 1 and not fused
+    return MapFrame(
+        frames.map_of(name) if of_own else frames.world_of(name, common=common),
+        north_up=not any(config.start.defines_map for config in configs.values()),
+    )
 
 
 def _recorded(folder: Path) -> list[Path]:
@@ -91,11 +106,16 @@ def _recorded(folder: Path) -> list[Path]:
 
 def _poses(vehicle: str, tracks: dict[str, Trajectory]) -> dict[int, Pose]:
     """Return the best poses for mapping: smoothed ones, where there are peers at the place of the fused ones."""
-    smoothed, fused = tracks.get("smoothed"), tracks.get("c_slam")
+    smoothed = tracks.get("smoothed")
     if smoothed is None:
         warn(f"{vehicle} has no smoothed poses; its own-only ones blur the map")
         return {pose.stamp_ns: pose.T_map_body for pose in tracks["s_slam"].estimates()}
     poses = smoothed.estimates()
-    if fused is not None and fused.covariance is not None:
-        poses = anchored(poses, fused.estimates())
+    if _is_fused(tracks):
+        poses = anchored(poses, tracks["c_slam"].estimates())
     return {pose.stamp_ns: pose.T_map_body for pose in poses}
+
+
+def _is_fused(tracks: dict[str, Trajectory]) -> bool:
+    """Return whether smoothed poses are moved to the place of fused ones."""
+    return "smoothed" in tracks and "c_slam" in tracks and tracks["c_slam"].covariance is not None

@@ -61,6 +61,10 @@ class OutputFramesConfig(Settings):
         """Return the name of a vehicle's map frame."""
         return self.map or f"{vehicle}/map"
 
+    def world_of(self, vehicle: str, *, common: bool) -> str:
+        """Return the name of the frame of a vehicle's fused estimate, whose origin may be common to the fleet."""
+        return self.world or ("world" if common else f"{vehicle}/world")
+
 
 @dataclass(frozen=True, slots=True)
 class VehicleConfig(Settings):

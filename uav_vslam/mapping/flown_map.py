@@ -18,6 +18,7 @@ from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic
 from uav_vslam.mapping.orthomosaic.output import write_orthomosaic
 from uav_vslam.mapping.overlap import Overlap
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.summary import MapFrame
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.surface.settings import SurfaceSettings
@@ -43,11 +44,12 @@ class FlownMap:
         overlap: of all views.
     """
 
-    def __init__(self, folder: Path | None, *, cell_m: float, pixel_m: float) -> None:
+    def __init__(self, folder: Path | None, frame: MapFrame, *, cell_m: float, pixel_m: float) -> None:
         """Begin an empty map.
 
         Args:
             folder: a new one, for tiles and files; None keeps all in memory.
+            frame: of the poses.
             cell_m: side of a cell of the height grid [m].
             pixel_m: side of a pixel of the orthomosaic [m]; 0 makes none.
 
@@ -55,7 +57,7 @@ class FlownMap:
             UavVslamError: the folder holds a map already.
         """
         settings = SurfaceSettings()
-        self.folder = folder
+        self.folder, self._frame = folder, frame
         self.grid = HeightGrid(cell_m, folder / TILES if folder else None)
         self.mapper, self.overlap = SurfaceMapper(self.grid, settings), Overlap()
         self._scratch = TemporaryDirectory(dir=folder, prefix="mosaic_") if folder and pixel_m else None
@@ -93,7 +95,7 @@ class FlownMap:
         """
         if self.folder is None:
             raise UavVslamError("the parameter map.folder is empty; start the mapper with a folder to write to")
-        tree = write_surface(self.grid, self.overlap, self.mapper, self.folder)
+        tree = write_surface(self.grid, self.overlap, self.mapper, self.folder, self._frame)
         if self._drawn:
             tree["orthomosaic"] = write_orthomosaic(self._drawn, self.folder)
             write_json(self.folder / FIGURES, tree)

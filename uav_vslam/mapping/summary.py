@@ -2,6 +2,7 @@
 """The figures of a map: what `map.json` holds of its surface and its views."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,20 @@ from uav_vslam.mapping.overlap import Overlap
 from uav_vslam.mapping.surface.grid import HeightGrid
 
 
-def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class MapFrame:
+    """The frame of a map, z up.
+
+    Attributes:
+        name: as the nodes publish it.
+        north_up: its y axis points north; it does not where the start state defines the frame, or a yaw is given.
+    """
+
+    name: str
+    north_up: bool
+
+
+def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int], frame: MapFrame) -> dict[str, Any]:
     """Return the tree of `map.json`, in metres and in the map frame.
 
     Coverage is the share of the cells which some view shows, over a surface without anything that stands, that have
@@ -20,6 +34,7 @@ def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) ->
         grid: the surface.
         overlap: of all views.
         views: their number by vehicle.
+        frame: of the grid.
     """
     extent, counts = overlap.count(grid)
     shown = counts > 0
@@ -35,7 +50,8 @@ def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) ->
     height = np.concatenate(heights) if cells else None
     gsd_m = float("nan") if height is None else overlap.gsd_m(float(np.median(height)))
     tree: dict[str, Any] = {
-        "frame": "map",
+        "frame": frame.name,
+        "north_up": frame.north_up,
         "cell_m": grid.cell_m,
         "gsd_m": gsd_m if np.isfinite(gsd_m) else None,
         "bounds_m": list(extent.bounds_m),

@@ -13,7 +13,7 @@ from uav_vslam.evaluation.files.writing import write_json
 from uav_vslam.mapping.georeference import write_parts
 from uav_vslam.mapping.overlap import Overlap
 from uav_vslam.mapping.raster import Raster
-from uav_vslam.mapping.summary import map_figures
+from uav_vslam.mapping.summary import MapFrame, map_figures
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
 
@@ -22,7 +22,12 @@ BANDS = "height", "sigma", "count", "view angle", "filled"  # of height.tif
 
 
 def write_surface(
-    grid: HeightGrid, overlap: Overlap, mapper: SurfaceMapper, folder: Path, datum: Datum | None = None
+    grid: HeightGrid,
+    overlap: Overlap,
+    mapper: SurfaceMapper,
+    folder: Path,
+    frame: MapFrame,
+    datum: Datum | None = None,
 ) -> dict[str, Any]:
     """Write what has been mapped so far into a folder, and return the figures of `map.json`.
 
@@ -31,13 +36,14 @@ def write_surface(
         overlap: of all views.
         mapper: which made it.
         folder: where the files go.
+        frame: of the map.
         datum: of the map frame, if known.
 
     Raises:
         OSError: the disk is full, or the folder can't be written.
     """
     grid.flush()
-    tree = map_figures(grid, overlap, mapper.views)
+    tree = map_figures(grid, overlap, mapper.views, frame)
     tree |= {"datum": datum.figures()} if datum else {}
     tree["surface"] |= {"pairs": mapper.pairs, "refused_pairs": dict(mapper.refused)}
     if grid.extent.columns:

@@ -27,6 +27,7 @@ from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import InvalidMessage, UavVslamError
 from uav_vslam.mapping.flight_views import LeftCamera
 from uav_vslam.mapping.flown_map import FlownMap
+from uav_vslam.mapping.summary import MapFrame
 from uav_vslam.mapping.triangles import surface_triangles
 from uav_vslam.mapping.waiting_images import WaitingImages
 from uav_vslam.monitor import DROPPED
@@ -76,7 +77,11 @@ class MapperNode(VehicleNode):
             folder = next(each for each in itertools.chain([folder], others) if not each.exists())
         if folder is not None:
             require_place(folder)
-        return FlownMap(folder, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
+        return self._made_map(folder)
+
+    def _made_map(self, folder: Path | None) -> FlownMap:
+        frame = MapFrame(self.map_frame, north_up=not self.config.start.defines_map)
+        return FlownMap(folder, frame, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
 
     def reset(self) -> None:
         """Begin another map, in a folder beside the present one, which is saved."""
@@ -101,7 +106,7 @@ class MapperNode(VehicleNode):
             another = self._new_map(beside=True)
         except (UavVslamError, OSError) as error:
             self._alarm(error)
-            another = FlownMap(None, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
+            another = self._made_map(None)
         self._replace_map(another)
 
     def _replace_map(self, another: FlownMap) -> None:

@@ -122,7 +122,7 @@ class VehicleNode(PausableNode):
     @property
     def world_frame(self) -> str:
         """Name of the frame of the fused estimate."""
-        return self.config.frames.world or ("world" if self.config.fusion.common_origin else f"{self.vehicle}/world")
+        return self.config.frames.world_of(self.vehicle, common=self.config.fusion.common_origin)
 
     @property
     def map_frame(self) -> str:

@@ -111,12 +111,19 @@ def test_the_quality_of_the_map_is_that_of_map_json(full: Path, tmp_path: Path) 
 def test_a_map_that_is_turned_is_not_called_north_up(full: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(full, tmp_path / "turned"))
     datum = {"latitude_deg": -28.2325, "longitude_deg": 153.0012, "height_m": 20.0}
-    for yaw, up, axis in (({}, "north up", ""), ({"yaw_deg": 30.0}, "x to the right, y up", "30° counter-clockwise")):
-        (folder / "map" / "map.json").write_text(json.dumps(SUMMARY | {"datum": datum | yaw}))
+    earlier = {key: value for key, value in SUMMARY.items() if key != "north_up"}
+    turned = {"datum": datum | {"yaw_deg": 30.0}}
+    for tree, up, said in (
+        (SUMMARY | {"datum": datum}, True, "153.001200°"),
+        (SUMMARY | turned | {"north_up": False}, False, "30° counter-clockwise"),
+        (SUMMARY | {"frame": "uav1/map", "north_up": False}, False, "Frame: uav1/map."),  # of its own start
+        (earlier | turned, False, "30° counter-clockwise"),
+    ):
+        (folder / "map" / "map.json").write_text(json.dumps(tree))
         text = write_page([folder]).read_text()
-        assert f"Orthomosaic, {up}" in text
-        assert axis in text
-        assert ("North to south" in text) == (not yaw)
+        assert f"Orthomosaic, {'north up' if up else 'x to the right, y up'}" in text
+        assert said in text
+        assert ("North to south" in text) == up
 
 
 def test_a_map_may_lack_anything_but_its_summary(full: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ Read are map.json, height.png, orthomosaic.jpg (or .png), overlap.png and model.
     map.json    cell_m, gsd_m; bounds_m: [west, south, east, north]; vehicles: {name: {views, share}};
                 surface: {cells, coverage, filled, median_sigma_m, height_m: [min, max]};
                 orthomosaic: {m_per_px, width, height, seam_px}; model: {triangles, bytes};
-                accuracy: {ce90_m, le90_m, claimed}; frame; datum: {latitude_deg, longitude_deg, height_m}
+                accuracy: {ce90_m, le90_m, claimed}; frame; north_up; datum: {latitude_deg, longitude_deg, height_m}
     model.glb   textured mesh in the map frame [m], z up
 """
 
@@ -45,7 +45,7 @@ def quality_rows(summary: Figures) -> list[list[Cell]]:
     accuracy, model = summary.get("accuracy") or {}, summary.get("model") or {}
     low, high = surface.get("height_m") or (None, None)
     west, south, east, north = summary.get("bounds_m") or (None,) * 4
-    along_x, along_y = ("Along x", "Along y") if _yaw_deg(summary) else ("East to west", "North to south")
+    along_x, along_y = ("East to west", "North to south") if _north_up(summary) else ("Along x", "Along y")
     source = "claimed" if accuracy.get("claimed") else "against the truth"
     figures = [
         ("Ground sampling distance", summary.get("gsd_m"), "m"),
@@ -75,7 +75,7 @@ def _section(flight: FlightFiles, picture_bytes: int, model_bytes: int, *, sever
     summary = read_json(folder / SUMMARY)
     ending = f": {flight.label}" if several else ""
     rows = quality_rows(summary)
-    axes = "x to the right, y up" if _yaw_deg(summary) else "north up"
+    axes = "north up" if _north_up(summary) else "x to the right, y up"
     vehicles = [
         [name, str(found.get("views", "–")), f"{100.0 * found['share']:.0f} %" if "share" in found else "–"]
         for name, found in (summary.get("vehicles") or {}).items()
@@ -133,6 +133,6 @@ def _datum(datum: Figures | None) -> str:
     return f", origin at {datum['latitude_deg']:.6f}°, {datum['longitude_deg']:.6f}°, {datum['height_m']:.1f} m{turned}"
 
 
-def _yaw_deg(summary: Figures) -> float:
-    """Return by how much the map's x axis is turned from east, counter-clockwise, as far as it is known [deg]."""
-    return float((summary.get("datum") or {}).get("yaw_deg", 0.0))
+def _north_up(summary: Figures) -> bool:
+    """Return whether the map's y axis points north; maps of earlier versions say it by the datum's yaw alone."""
+    return bool(summary.get("north_up", not (summary.get("datum") or {}).get("yaw_deg")))
