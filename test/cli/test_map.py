@@ -12,14 +12,19 @@ import numpy as np
 import pytest
 import tifffile
 from geotiff import place
+from rendered_views import pose, view
 
 from uav_vslam.cli.main import main
-from uav_vslam.cli.map import write_map
+from uav_vslam.cli.map import doubts, write_map
 from uav_vslam.cli.map_picture import default_pixel_m
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.grid import HeightGrid
+from uav_vslam.mapping.surface.mapper import SurfaceMapper
+from uav_vslam.mapping.surface.settings import SurfaceSettings
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.simulation.terrain import ground_of
@@ -170,6 +175,19 @@ def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(
     said = capsys.readouterr().err
     assert "pairs have pixels too large for cells of 0.1 m; use --cell 0." in said
     assert "nothing was mapped: no pair of views gave a height" in said  # though they show the ground
+
+
+def test_views_ahead_are_told_that_only_what_is_below_is_mapped() -> None:
+    mapper = SurfaceMapper(HeightGrid(1.0), SurfaceSettings(scale=1.0))
+    for k in range(6):
+        mapper.add_view(view(k))
+    assert list(doubts(mapper)) == []
+    ahead = so3_exp([0.0, np.deg2rad(-80.0), 0.0])
+    for k in range(6, 40):
+        T_map_cam = Pose(ahead @ pose(k).R, pose(k).t)
+        mapper.add_view(dataclasses.replace(view(0), stamp_ns=view(k).stamp_ns, T_map_cam=T_map_cam))
+    (said,) = doubts(mapper)
+    assert "do not look down on ground that both show" in said
 
 
 def test_another_recording_than_that_of_the_poses_is_told(

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.argument_types import positive_number
 from uav_vslam.cli.arguments import RESULTS, add_datum, datum_of, first_given
-from uav_vslam.cli.messages import say, warn, warn_each
+from uav_vslam.cli.messages import say, warn_each
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.run import SHEET, add_options, configured, flown
 
@@ -145,7 +146,7 @@ def write_map(
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.progress import counted
     from uav_vslam.mapping.surface.grid import HeightGrid
-    from uav_vslam.mapping.surface.mapper import FEW_MATCHES, SMALL_CELLS, SurfaceMapper
+    from uav_vslam.mapping.surface.mapper import SurfaceMapper
     from uav_vslam.mapping.surface.tiles import TILES
     from uav_vslam.mapping.surface_files import FIGURES, write_surface
     from uav_vslam.report.height_picture import draw_ground, frame_of
@@ -167,12 +168,24 @@ def write_map(
     extent, counts = overlap.count(grid)
     draw_ground(grid.height(extent), counts, extent.bounds_m, frame_of(north=frame.north_up), folder)
     print_map(tree, _times_ms(mapper))
-    if mapper.least_cell_m:
-        count, least_m = mapper.refused[SMALL_CELLS], mapper.least_cell_m
-        warn(f"{count} pairs have pixels too large for cells of {cell_m:g} m; use --cell {least_m:.2g}")
-    if mapper.refused[FEW_MATCHES] > mapper.pairs:
-        warn("most pairs of views have few matches: is this the recording of these poses, and has the ground texture?")
+    warn_each(doubts(mapper))
     return int(tree["surface"]["cells"])
+
+
+def doubts(mapper: SurfaceMapper) -> Iterator[str]:
+    """Yield why pairs of views were refused, as far as something can be done about it."""
+    from uav_vslam.mapping.surface.mapper import FEW_MATCHES, NOT_BELOW, SMALL_CELLS
+
+    if mapper.refused[NOT_BELOW] > mapper.pairs:
+        yield (
+            "most pairs of views do not look down on ground that both show: only what a camera looks down on is "
+            "mapped, not what it sees ahead, as in a room"
+        )
+    if mapper.least_cell_m:
+        count, cell_m, least_m = mapper.refused[SMALL_CELLS], mapper.grid.cell_m, mapper.least_cell_m
+        yield f"{count} pairs have pixels too large for cells of {cell_m:g} m; use --cell {least_m:.2g}"
+    if mapper.refused[FEW_MATCHES] > mapper.pairs:
+        yield "most pairs of views have few matches: is this the recording of these poses, and has the ground texture?"
 
 
 def _times_ms(mapper: SurfaceMapper) -> dict[str, float]:

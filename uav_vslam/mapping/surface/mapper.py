@@ -29,8 +29,11 @@ FOOTPRINT_POINTS = FOOTPRINT[0] * FOOTPRINT[1]
 MOST_VIEWS = 64  # kept as partners of later ones
 CELL_PIXELS = 2.0  # side of a cell in pixels on the ground that gives `samples.LEAST_POINTS`
 FEWEST_PIXELS = 1.5  # below it hardly a cell has so many
-SMALL_CELLS = "cells smaller than pixels"  # reason for a refusal
-FEW_MATCHES = "few matches"  # another one
+# Reasons to refuse a pair; docs/mapping.md says what to do.
+TURNED = "turned apart"
+NOT_BELOW = "no common ground below"
+SMALL_CELLS = "cells smaller than pixels"
+FEW_MATCHES = "few matches"
 LEAST_SHARE = 0.25  # of the common ground that a good pair matches
 RANGE_PERCENTILES = (1.0, 50.0, 99.0)
 SEARCHED_VIEWS = 8  # kept while the ground is not found
@@ -167,14 +170,14 @@ class SurfaceMapper:
         """
         settings, started = self._settings, time.process_time()
         if _turn_deg(left, right) > settings.largest_turn_deg:
-            self.refused["turn"] += 1
+            self.refused[TURNED] += 1
             return
         searched = Depths(ground.low_m - settings.below_m, ground.middle_m, ground.high_m + settings.above_m)
         pair = rectify(
             left, right, searched, most=settings.most_disparities, overlap=settings.least_overlap, region=region
         )
         if pair is None:
-            self.refused["geometry"] += 1
+            self.refused[NOT_BELOW] += 1
             return
         pixel_m = _above(right, ground) / pair.focal_px
         if self.grid.cell_m < FEWEST_PIXELS * pixel_m:
