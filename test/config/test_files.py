@@ -208,6 +208,19 @@ def test_a_fleet_file_names_vehicles_bags_and_mode_relative_to_itself(
     assert fleet.replay == ReplayConfig(bags=(tmp_path / "flight", tmp_path / "../b"), rate=2.0)
 
 
+def test_paths_in_a_vehicles_file_are_relative_to_it_and_overrides_to_the_working_folder(
+    write: Write, write_vehicle: Write, tmp_path: Path
+) -> None:
+    keys = "fusion: {signing_key_file: ~/own.pem, peer_keys_folder: ../keys}"
+    own = write_vehicle(f"start: {{map: a/map.npz}}\n{keys}", "own.yaml")
+    fleet = load_fleet(write("vehicles: {uav1: {config: own.yaml}}"))
+    for config in (fleet.vehicles["uav1"], load_vehicle(own)):
+        assert config.start.map == str(tmp_path / "a" / "map.npz")
+        assert config.fusion.signing_key_file == str(Path.home() / "own.pem")
+        assert config.fusion.peer_keys_folder == str(tmp_path.parent / "keys")
+    assert load_vehicle(own, overrides={"start.map": "b.npz"}).start.map == "b.npz"
+
+
 def test_overrides_reach_every_vehicle_of_a_fleet(write: Write) -> None:
     fleet = load_fleet(write("vehicles: {uav1: , uav2: }\nmode: none"), overrides={"fusion.mode": "wideband"})
     assert {v.fusion.mode for v in fleet.vehicles.values()} == {"wideband"}

@@ -30,6 +30,7 @@ from uav_vslam.errors import ConfigError, one_line
 
 ALL_NODES, PARAMETERS = "/**", "ros__parameters"
 CALIBRATION = "input.calibration"
+PATHS = "start.map", "fusion.fleet_key_file", "fusion.signing_key_file", "fusion.peer_keys_folder"
 
 
 def find_config(name: str) -> Path:
@@ -178,10 +179,15 @@ def _tree(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return a file's values with the paths in it, which are relative to it, as absolute ones."""
-    paths = values.get(CALIBRATION)
-    if not isinstance(paths, list) or not all(isinstance(one, str) for one in paths):
-        return values  # absent, or refused later
-    return values | {CALIBRATION: [str((path.parent / one).resolve()) for one in paths if one]}
+    found = {name: _absolute(values[name], path) for name in PATHS if values.get(name)}
+    if isinstance(paths := values.get(CALIBRATION), list):
+        found[CALIBRATION] = [_absolute(one, path) for one in paths if one]
+    return values | found
+
+
+def _absolute(given: Any, path: Path) -> Any:
+    """Return a path that a file gives, relative to it, as an absolute one; what is no text is refused later."""
+    return str((path.parent / Path(given).expanduser()).resolve()) if isinstance(given, str) else given
 
 
 def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:
@@ -211,7 +217,7 @@ def _section(path: Path, tree: Mapping[Any, Any], name: str) -> dict[str, Any]:
 def _fleet_key(path: Path, value: Any) -> dict[str, Any]:
     if not isinstance(value, str) or not value:
         raise ConfigError(f"{path}: fleet_key = {value!r} must be the path of a key file; uav-vslam keys new makes one")
-    return {"fusion.fleet_key_file": str((path.parent / Path(value).expanduser()).resolve())}
+    return {"fusion.fleet_key_file": _absolute(value, path)}
 
 
 def _addresses(path: Path, entries: Mapping[str, Any]) -> dict[str, str]:

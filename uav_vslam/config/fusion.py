@@ -81,7 +81,7 @@ class FusionConfig(Settings):
         at_least=0,
     )
     fleet_key_file: str = setting(
-        "", "shared secret of the fleet, 16 bytes or more: packets without its tag are dropped"
+        "", "file of the fleet's shared secret, 16 bytes or more: packets without its tag are dropped"
     )
     signing_key_file: str = setting("", "instead of fleet_key_file: this vehicle's own Ed25519 key (PEM)")
     peer_keys_folder: str = setting(

@@ -26,7 +26,9 @@ class StartConfig(Settings):
     )
     rest_s: float = setting(1.0, "static: time over which readings are averaged", unit="s", above=0)
     map: str = setting(
-        "", "file of a map to fly in: fusion corrects by it, and method map starts in it; empty for none"
+        "",
+        "file of a map to fly in, relative to the configuration file: fusion corrects by it, and method map starts in "
+        "it; empty for none",
     )
     velocity_sigma: float = setting(
         5.0,
