@@ -216,6 +216,10 @@ def test_rectified_images_with_the_lens_of_raw_ones_are_named(clean: Path, tmp_p
     config = tmp_path / "mine.yaml"
     config.write_text(found.block)
     assert faults(inspected(bag, load_vehicle(config)).findings) == []
+    raw = rewritten(clean, tmp_path / "raw", *(edited(topic, bent) for topic in INFOS))
+    rectified_too = load_vehicle(None, overrides={"input.rectified": True})
+    assert "/uav1/left/image_raw is raw by its name" in " ".join(open_flight(raw, "uav1", rectified_too.input).warnings)
+    assert "rectified images" in {finding.subject for finding in faults(inspected(raw, rectified_too).findings)}
 
 
 def test_constant_frames_on_tf_are_no_fault_and_moving_ones_are(clean: Path, tmp_path: Path) -> None:

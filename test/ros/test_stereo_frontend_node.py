@@ -50,9 +50,9 @@ def blank_image(side):
     return message
 
 
-def calibration(side):
+def calibration(side, lens=(0.0,) * 5):
     k = np.array([50.0, 0.0, 32.0, 0.0, 50.0, 24.0, 0.0, 0.0, 1.0])
-    return CameraInfo(header=header(STAMP_NS, f"{side}_optical"), height=HEIGHT, width=WIDTH, k=k, d=np.zeros(5))
+    return CameraInfo(header=header(STAMP_NS, f"{side}_optical"), height=HEIGHT, width=WIDTH, k=k, d=lens)
 
 
 def extrinsics(node):
@@ -267,6 +267,30 @@ def test_static_transforms_published_while_the_node_is_paused_count_afterwards(g
     for side in ("left", "right"):
         deliver(front, f"{side}/camera_info", calibration(side))
     until(lambda: front._rig.rig is not None)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        (("input.topics.left:=left/image_rect/compressed",), "image_rect/compressed is rectified by its name"),
+        (("input.rectified:=true",), "/uav1/left/image_raw is raw by its name"),
+        ((), ""),
+        (("input.topics.left:=left/image_rect", "input.topics.right:=right/image_rect", "input.rectified:=true"), ""),
+    ],
+)
+def test_images_that_are_undistorted_twice_or_never_by_their_names_are_told_once(domain_id, parameters, said, capfd):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made(*parameters)
+        for _ in range(2):
+            for side in ("left", "right"):
+                info = calibration(side, lens=(-0.1, 0.01, 0.0, 0.0, 0.0))
+                info.r, info.p = np.eye(3).ravel(), np.array([50.0, 0, 32, 0, 0, 50, 24, 0, 0, 0, 1, 0])
+                deliver(node, f"{side}/camera_info", info)
+            deliver(node, "/tf_static", extrinsics(node))
+    lines = [line for line in capfd.readouterr().err.splitlines() if "by its name" in line]
+    assert len(lines) == bool(said)
+    assert all(said in line for line in lines)
+    assert ("lens" in node.notes) == bool(said)
 
 
 def test_a_silent_camera_is_reported_again_after_a_reset(domain_id):

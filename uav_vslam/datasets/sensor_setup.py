@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from uav_vslam.config import InputConfig, VehicleConfig, differences, replaced
+from uav_vslam.config.input import COMPRESSED
 from uav_vslam.datasets.calibration_files import read_calibration
 from uav_vslam.datasets.camera_calibration import Calibration
 from uav_vslam.datasets.frame_tree import SAME_PLACE, FrameTree
@@ -46,6 +47,7 @@ class SensorSetup:
     _T_pair_cam: dict[str, Pose | None] = field(default_factory=dict)  # as P and R of camera_info place the cameras
     _T_cam_images: dict[str, Pose] = field(default_factory=dict)  # axes of the images, if they are rectified
     imu_frame: str | None = None
+    _distorted: set[str] = field(default_factory=set)  # sides whose camera_info has lens distortion
 
     @classmethod
     def of(cls, vehicle: str, config: InputConfig) -> "SensorSetup":
@@ -62,6 +64,7 @@ class SensorSetup:
         Raises:
             CalibrationError: it is not filled in, or its lens is not supported.
         """
+        self._distorted = self._distorted - {side} | ({side} if np.any(info.d) else set())
         if self.config.rectified:
             camera, self._T_cam_images[side] = rectified_camera_of(info)
         else:
@@ -141,12 +144,23 @@ class SensorSetup:
         """Why points would be undistorted that are so already, by their topics' names; empty if they would not."""
         for index, side in enumerate(SIDES):
             topic, unknown = self.config.topic(self.vehicle, side), side in self.missing_infos
-            named_so = any(word.startswith("rect") for word in topic.rsplit("/", 1)[-1].split("_"))
-            if unknown or self.config.rectified or not named_so:
+            if unknown or self.config.rectified or not _is_named_rectified(topic):
                 continue
             if self.camera(index).distortion.any():
                 remedy = "give files of rectified images" if self.files.cameras else "set input.rectified: true"
                 return f"{topic} is rectified by its name, and the calibration has lens distortion: {remedy}"
+        return ""
+
+    @property
+    def never_rectified(self) -> str:
+        """Why points would stay distorted, by their topics' names; empty if they would not."""
+        for side in self._distorted if self.config.rectified and not self.files.cameras else ():
+            topic = self.config.topic(self.vehicle, side)
+            if "raw" in _words(topic) and not _is_named_rectified(topic):
+                return (
+                    f"{topic} is raw by its name, and its lens has distortion, which input.rectified: true leaves in "
+                    "it: set that to false, or name the rectified images"
+                )
         return ""
 
     @property
@@ -309,3 +323,12 @@ def with_noise_of_files(config: VehicleConfig) -> VehicleConfig:
     noise = read_calibration(config.input.calibration).noise
     own = differences(config)
     return replaced(config, {k: v for k, v in noise.items() if k not in own}, where="input.calibration")
+
+
+def _words(topic: str) -> list[str]:
+    """Return the words of an image topic's last name."""
+    return topic.removesuffix(COMPRESSED).rsplit("/", 1)[-1].split("_")
+
+
+def _is_named_rectified(topic: str) -> bool:
+    return any(word.startswith("rect") for word in _words(topic))

@@ -66,6 +66,11 @@ class RigListener:
             return f"there is no valid camera_info of the {' and the '.join(sides)} camera"
         return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; {PUBLISH}{_likely_base(self._setup)}"
 
+    @property
+    def lens_doubt(self) -> str:
+        """Why points would be undistorted twice, or not at all, by the images' names; empty if they would not."""
+        return self._setup.rectified_twice or self._setup.never_rectified
+
     def conflict(self, frame: str) -> str:
         """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""
         return self._setup.conflict(frame)

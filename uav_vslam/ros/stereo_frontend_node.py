@@ -143,12 +143,19 @@ class StereoFrontendNode(VehicleNode):
         rig = self._rig.rig
         if rig is None:
             return
-        self._frontend = self._frontend or make_frontend(rig, self.config.frontend, self.config.rig)
+        if self._frontend is None:
+            self._frontend = make_frontend(rig, self.config.frontend, self.config.rig)
+            self._warn_of_lens()
         while self._waiting:
             features = self._extracted(self._frontend, self._waiting.popleft())
             frame_id = self._rig.left_frame(self._image_frame)
             self._publisher.publish(features_to_msg(features, frame_id=frame_id, size=rig.left.size))
             self.counts["features"] += len(features)
+
+    def _warn_of_lens(self) -> None:
+        if doubt := self._rig.lens_doubt:
+            self.notes["lens"] = doubt
+            self.get_logger().warning(doubt)
 
     def _extracted(self, frontend: Frontend, frame: StereoFrame) -> Features:
         """Return the features of a pair, none if it is invalid: the filter then dead-reckons."""
