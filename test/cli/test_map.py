@@ -250,7 +250,8 @@ def test_an_interrupted_map_leaves_nothing_and_one_that_was_killed_is_started_ag
     [
         (["--yaw", "30"], "--datum LAT LON ALT"),
         (["--datum", "91", "0", "0"], "latitude 91 of the datum"),
-        (["--config", "sample", "--set", "fusion.common_origin=false"], "map one of them: --vehicles NAME"),
+        (["--config", "sample", "--set", "fusion.common_origin=false"], "(fusion.common_origin: false); map one of"),
+        (["--config", "sample", "--set", "start.method=in_flight"], "(start.method: static or in_flight); map one of"),
     ],
 )
 def test_what_can_not_be_mapped_is_refused_before_anything_is_flown(

@@ -53,10 +53,10 @@ def is_result(path: Path) -> bool:
 
 def require_one_frame(configs: Mapping[str, VehicleConfig]) -> None:
     """Refuse vehicles, by name, that do not share a map frame."""
-    if len(configs) > 1 and not all(config.fusion.common_origin for config in configs.values()):
-        raise UavVslamError(
-            "the vehicles have map frames of their own (fusion.common_origin: false); map one of them: --vehicles NAME"
-        )
+    apart = len(configs) > 1 and not all(config.fusion.common_origin for config in configs.values())
+    if apart or sum(config.start.defines_map for config in configs.values()) > 1:
+        why = "fusion.common_origin: false" if apart else "start.method: static or in_flight"
+        raise UavVslamError(f"the vehicles have map frames of their own ({why}); map one of them: --vehicles NAME")
 
 
 def mapped_flights(
