@@ -202,8 +202,12 @@ def test_recorded_frames_are_judged_without_truth(tmp_path, capsys):
 
 
 def test_a_recording_without_estimates_says_what_it_holds(pair):
-    with pytest.raises(BagError, match=r"/uav1/ground_truth/odometry.*give the bag of the estimates"):
+    with pytest.raises(BagError, match=r"inputs; give the bag of the estimates") as refused:
         read_outputs([pair / "inputs"])
+    assert str(refused.value).splitlines()[1:] == [
+        "  nav_msgs/msg/Odometry: /uav1/ground_truth/odometry, /uav2/ground_truth/odometry",
+        "  sensor_msgs/msg/CameraInfo: /uav1/left/camera_info, /uav2/left/camera_info",
+    ]
 
 
 def test_several_passes_of_a_recording_are_refused_and_a_few_repeated_stamps_are_not(tmp_path):
@@ -272,7 +276,7 @@ def test_ground_truth_that_can_not_be_compared_with_is_warned_of(pair, tmp_path,
 def test_odometry_of_another_type_is_no_estimate(tmp_path):
     with RawRecorder(tmp_path / "bad") as bag:
         bag.write("/uav1/odometry", "std_msgs/msg/String", encode(message("std_msgs/msg/String", data="x")), START_NS)
-    with pytest.raises(BagError, match=r"of nav_msgs/msg/Odometry but /uav1/odometry \(std_msgs/msg/String\)"):
+    with pytest.raises(BagError, match=r"of nav_msgs/msg/Odometry in [^\0]* std_msgs/msg/String: /uav1/odometry$"):
         read_outputs([tmp_path / "bad"])
     with RawRecorder(tmp_path / "fused") as bag:
         bag.write("/uav1/odometry", "nav_msgs/msg/Odometry", encode(odometry(0, 0.0, 0.5)[1]), START_NS)

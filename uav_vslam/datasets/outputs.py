@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads a fleet's recorded estimates, and the ground truth from the replayed bags."""
 
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ import numpy as np
 
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.messages import TRUTH_TYPES, stamp_ns_of, truth_of
-from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, UpToDamage, iter_raw, names_of, topics_of
 from uav_vslam.datasets.truth import left_out_text, unread_text
 from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.evaluation.result import LinkCounters
@@ -103,10 +104,9 @@ def read_outputs(
     topics = topics_of(paths)
     names = _vehicles(topics)
     if not names:
-        held = ", ".join(f"{topic} ({info.msgtype})" for topic, info in sorted(topics.items())) or "nothing"
         raise BagError(
-            f"{', '.join(map(str, paths))} hold no /<vehicle>/odometry of {ESTIMATE_TYPES[0]} but {held}; give the bag "
-            "of the estimates"
+            f"no /<vehicle>/odometry of {ESTIMATE_TYPES[0]} in {names_of(paths)}; give the bag of the estimates, or "
+            f"make them of the sensors' data: uav-vslam run {shlex.join(map(str, paths))}; {_held(topics)}"
         )
     outputs = {name: RecordedOutputs() for name in names}
     for name in names:
@@ -130,6 +130,13 @@ def _vehicles(topics: dict[str, TopicInfo]) -> list[str]:
     """Return the names of the vehicles that have an own-only track, sorted."""
     found = {topic for topic, info in topics.items() if info.msgtype == ESTIMATE_TYPES[0]}
     return sorted(t.split("/")[1] for t in found if t.count("/") == 2 and t.endswith(f"/{ODOMETRY}"))
+
+
+def _held(topics: dict[str, TopicInfo]) -> str:
+    """Return the topics of recordings in words, a line for each type, estimates first."""
+    types = sorted({info.msgtype for info in topics.values()}, key=lambda one: (one not in ESTIMATE_TYPES, one))
+    names = {one: sorted(topic for topic, info in topics.items() if info.msgtype == one) for one in types}
+    return "recorded:" + "".join(f"\n  {one}: {', '.join(names[one])}" for one in types) if types else "it is empty"
 
 
 def _wanted(names: Sequence[str]) -> list[str]:
