@@ -34,7 +34,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "uav-vslam = uav_vslam.cli.main:main",
+            "uav-vslam = uav_vslam.cli.start:main",
             "replay = uav_vslam.ros.start:main",
             "stereo_frontend = uav_vslam.ros.start:main",
             "ins_propagator = uav_vslam.ros.start:main",

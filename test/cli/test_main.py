@@ -129,6 +129,25 @@ def test_what_is_half_done_is_called_incomplete_after_a_signal(tmp_path: Path, n
     assert left.name.endswith("_slow.incomplete")
 
 
+STARTER = """
+import os, signal, sys
+
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "uav_vslam.cli.messages":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+from uav_vslam.cli.start import main
+sys.exit(main())
+"""
+
+
+def test_an_interrupt_while_the_command_is_imported_is_exit_code_130() -> None:
+    done = subprocess.run([sys.executable, "-c", STARTER], capture_output=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"")
+
+
 def test_a_bug_keeps_its_traceback(install: Install) -> None:
     def stumble(_: argparse.Namespace) -> int:
         raise ZeroDivisionError
