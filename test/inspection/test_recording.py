@@ -248,6 +248,12 @@ def test_the_clock_offset_to_set_counts_the_one_of_the_calibration_file(clean: P
     assert_named(found, [("error", "gyroscope against the cameras", ("80 ms late", "timeshift_cam_imu: 0.06 "))])
 
 
+def test_an_offset_of_the_clocks_that_is_set_is_no_fault(clean: Path, tmp_path: Path) -> None:
+    bag = rewritten(clean, tmp_path / "bag", *(later(topic, 50_000_000_000) for topic in (IMU, START, TRUTH)))
+    files = [str(kalibr_of(clean, tmp_path, timeshift_s=50.0))]
+    assert faults(inspected(bag, load_vehicle(None, overrides={"input.calibration": files})).findings) == []
+
+
 @pytest.mark.parametrize("topic", ["/tf_static", LEFT, RIGHT, *INFOS, IMU, START, TRUTH])
 @pytest.mark.parametrize("left", [0, 2])
 def test_whatever_is_missing_the_rest_is_judged(topic: str, left: int, clean: Path, tmp_path: Path) -> None:

@@ -396,7 +396,15 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     ),
     "IMU of another clock": (
         lambda: [later(IMU, -50_000_000_000)],
-        [("error", "IMU clock", ("50 s before", "one clock")), ("error", "IMU coverage", ("24 after the last",))],
+        [
+            ("error", "IMU clock", ("50 s before", "one clock")),
+            ("error", "IMU coverage", ("24 after the last",)),
+            ("error", "gyroscope against the cameras", ("50.000 s early", "timeshift_cam_imu: -50 (")),
+        ],
+    ),
+    "IMU recorded late": (
+        lambda: [lambda raw: dataclasses.replace(raw, stamp_ns=raw.stamp_ns + 1_000_000_000 * (raw.topic == IMU))],
+        [("warning", "IMU delay", ("1 s before", "can be run"))],
     ),
     "sensors of another clock than the recorder": (
         lambda: [recorded_at_stamp_plus(3_600_000_000_000)],

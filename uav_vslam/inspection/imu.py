@@ -2,6 +2,7 @@
 """The checks of the IMU, with the other sources about its axes: start state, truth, cameras."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from uav_vslam.inspection.finding import Finding, Severity, count
 from uav_vslam.inspection.imu_noise import NoiseLevels, at_rest, check_noise, noise_level, noise_levels
 from uav_vslam.inspection.motion import rotations_by_cameras, rotations_by_truth, up_of_truth
 from uav_vslam.inspection.rotation import check_rate_size, check_rotation
+from uav_vslam.inspection.timing import recorded_late_ms
 from uav_vslam.inspection.views import Views
 from uav_vslam.search import nearest
 from uav_vslam.types import NS_PER_S, ImuSample
@@ -111,13 +113,15 @@ def _check_rates(
 ) -> list[Finding]:
     """Check the gyroscope against truth and cameras."""
     found: list[Finding] = []
+    offset_ns = survey.setup.time_offset_ns
+    late_ms = recorded_late_ms(survey.streams, offset_ns)
     if not gyro.any():  # `check_stuck` names it
         return found
     if survey.truth is not None and len(survey.truth) > 2:
-        found += check_rotation(rotations_by_truth(survey.truth, stamps, gyro))
+        found += check_rotation(replace(rotations_by_truth(survey.truth, stamps, gyro), recorded_late_ms=late_ms))
     if rig is not None and looked.steps:
-        offset_ns = survey.setup.time_offset_ns
-        found += check_rotation(rotations_by_cameras(looked.steps, rig, stamps, gyro, offset_ns=offset_ns))
+        pairs = rotations_by_cameras(looked.steps, rig, stamps, gyro)
+        found += check_rotation(replace(pairs, offset_ns=offset_ns, recorded_late_ms=late_ms))
     return found
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion by truth and by cameras, for comparison with the IMU and with each other."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,16 +61,13 @@ def rotations_by_truth(truth: TruthTrack, stamps_ns: Stamps, gyro: Array) -> Rat
     return _pairs(stamps_ns, gyro, (starts, ends), rates, sigma=_sigma(seconds), source="the truth")
 
 
-def rotations_by_cameras(
-    steps: list[Step], rig: StereoRig, stamps_ns: Stamps, gyro: Array, *, offset_ns: int
-) -> RatePairs:
+def rotations_by_cameras(steps: list[Step], rig: StereoRig, stamps_ns: Stamps, gyro: Array) -> RatePairs:
     """Return mean rates of cameras and gyroscope within couples of pairs.
 
     Args:
         steps: motion within the couples.
         rig: calibration.
         stamps_ns, gyro: as above.
-        offset_ns: what is added to the images' stamps in the steps [ns].
     """
     starts, ends = (np.array([getattr(one, name) for one in steps], np.int64) for name in ("start_ns", "end_ns"))
     seconds = (ends - starts) / NS_PER_S
@@ -79,8 +76,7 @@ def rotations_by_cameras(
     R_body_start_end = R_body_left @ R_left_start_end @ R_body_left.T
     rates = rates_of_rotations(np.broadcast_to(np.eye(3), R_body_start_end.shape), R_body_start_end, seconds)
     sigma = float(np.median([one.motion.sigma_rotation for one in steps] / seconds))
-    pairs = _pairs(stamps_ns, gyro, (starts, ends), rates, sigma=sigma, source=CAMERAS)
-    return replace(pairs, offset_ns=offset_ns)
+    return _pairs(stamps_ns, gyro, (starts, ends), rates, sigma=sigma, source=CAMERAS)
 
 
 def _pairs(

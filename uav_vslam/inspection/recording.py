@@ -22,6 +22,7 @@ from uav_vslam.inspection.finding import Finding, Severity, count, error, ok, wa
 from uav_vslam.inspection.imu import check_imu, readings_in_body
 from uav_vslam.inspection.imu_noise import NoiseLevels, recommended
 from uav_vslam.inspection.motion import check_attitude, check_scale, is_absurd, scale_of_truth
+from uav_vslam.inspection.rotation import CAMERAS, agrees
 from uav_vslam.inspection.stereo_stamps import OffsetHistogram
 from uav_vslam.vision.tracking.frontend import MAX_GAP_S as TRACKED_GAP_S
 
@@ -68,8 +69,8 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     no_attitude = check_attitude(survey.truth, readings)
     truth = None if no_attitude or is_absurd(survey.truth, scale) else survey.truth  # by which others are judged
     imu_findings, found.noise = check_imu(replace(survey, truth=truth), readings, rig, looked, config)
-    found.findings += imu_findings
-    images_ns = _stamps(survey, "left")
+    found.findings += imu_findings + _check_clocks(survey, gyro_agrees=agrees(imu_findings, CAMERAS))
+    images_ns = _stamps(survey, "left") + survey.setup.time_offset_ns
     found.findings += start.check_start(survey.initial, images_ns, readings, config, truth)
     if config.start.method == "given" and not survey.initial and readings:
         found.start_method = start.method_for(readings, images_ns, config)
@@ -157,18 +158,22 @@ def _judge_stamps(survey: Survey, config: VehicleConfig, found: Inspection) -> N
     left, right, imu = (_stamps(survey, role) for role in ("left", "right", "imu"))
     for role in (*timing.SENSORS, "truth"):
         found.findings += timing.check_order(timing.NAMES[role], _stamps(survey, role))
-    clocks = timing.check_clocks(survey.streams)
-    found.findings += clocks
-    if count(clocks, Severity.ERROR) == 0:  # messages of another clock are all late
-        found.findings += timing.check_lateness(survey.streams)
     tracked_gap_s = TRACKED_GAP_S if config.frontend.method == "klt" else None
     for side, stamps in (("left", left), ("right", right)):
         found.findings += timing.check_image_rate(timing.NAMES[side], stamps, tracked_gap_s=tracked_gap_s)
     found.findings += timing.check_imu_rate(imu)
-    found.findings += timing.check_coverage(imu, left)
+    found.findings += timing.check_coverage(imu, left + survey.setup.time_offset_ns)
     found.offsets = stereo_stamps.histogram(stereo_stamps.offsets_ns(left, right))
     tolerance_s = survey.input.pair_tolerance_s
     found.findings += stereo_stamps.check_pairs(left, right, survey.pair_count, tolerance_s=tolerance_s)
+
+
+def _check_clocks(survey: Survey, *, gyro_agrees: bool) -> list[Finding]:
+    offset_ns = survey.setup.time_offset_ns
+    clocks = timing.check_clocks(survey.streams, offset_ns, gyro_agrees=gyro_agrees)
+    if timing.recorded_late_ms(survey.streams, offset_ns) or count(clocks, Severity.ERROR):
+        return clocks  # messages of another clock are all late
+    return clocks + timing.check_lateness(survey.streams, offset_ns)
 
 
 def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:

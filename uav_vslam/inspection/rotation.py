@@ -3,12 +3,12 @@
 
 Mean rates over short intervals are compared, w = s A r + b: s is 1, or that of degrees; A is the identity, a turn by
 multiples of 90 degrees, or a mirror; b is the gyroscope's bias. If the difference is small, or that does not explain
-it, an offset between the clocks is looked for.
+it, an offset between the clocks is looked for: a small one, and about that which the recorder's clock shows.
 """
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.inspection import limits
-from uav_vslam.inspection.finding import Finding, error, ok, warning
+from uav_vslam.inspection.finding import Finding, Severity, error, ok, warning
 from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -25,10 +25,12 @@ Stamps = NDArray[np.int64]
 
 SCALES = {1.0: "", 180.0 / math.pi: "in degrees, not in radians", math.pi / 180.0: "in radians taken for degrees"}
 CAMERAS = "the cameras"
+SUBJECT, NOT_JUDGED = "gyroscope against", "not judged"
 MIN_INTERVALS = 4
 LATE_MS = range(-300, 301, 5)  # offsets of the clocks that are tried
 LATE_SHARE = 0.5  # of the difference: an offset that leaves less explains it
 LATE_WARNED_MS = 10  # three sigma of `rig.time_offset_sigma_s`: the filter estimates smaller offsets
+ALLOWED = f"at most {100 * limits.ROTATION_MISFIT:.0f} %"
 COVERED_SHARE = 0.5  # of the intervals without an offset: one that leaves fewer is no match
 
 
@@ -44,6 +46,7 @@ class RatePairs:
         gyro_if_late: returns the (K, 3) rates of the gyroscope [rad/s], NaN where not covered, if its stamps are late
             by so many ns; None if unknown.
         offset_ns: what is added to the stamps of the reference already [ns].
+        recorded_late_ms: by how much the IMU's stamps are late by the recorder's clock; 0 if by little [ms].
     """
 
     gyro: Array
@@ -52,6 +55,7 @@ class RatePairs:
     source: str
     gyro_if_late: Callable[[int], Array] | None = None
     offset_ns: int = 0
+    recorded_late_ms: int = 0
 
 
 def mean_rates(stamps_ns: Stamps, gyro: Array, starts_ns: Stamps, ends_ns: Stamps) -> Array:
@@ -83,15 +87,16 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     """Check scale and axes of the gyroscope."""
     good = _covered(pairs.gyro, pairs.reference)
     gyro, reference = (_centred(one[good]) for one in (pairs.gyro, pairs.reference))
-    subject = f"gyroscope against {pairs.source}"
+    subject = f"{SUBJECT} {pairs.source}"
     turned = _rms(reference)
+    if good.sum() < MIN_INTERVALS and pairs.recorded_late_ms:
+        return _check_apart(pairs, subject)
     if good.sum() < MIN_INTERVALS or turned < limits.ROTATION_DETECTED * pairs.sigma:
-        return [ok(subject, "not judged: the vehicle turned too little, or too few intervals")]
+        return [ok(subject, f"{NOT_JUDGED}: the vehicle turned too little, or too few intervals")]
     misfit = _misfit(gyro, reference, 1.0, np.eye(3))
     seen = f"rms difference {100 * misfit:.0f} % over {good.sum()} intervals of {math.degrees(turned):.1f} deg/s rms"
     if misfit <= limits.ROTATION_MISFIT:
         return [_late_but_alike(pairs, subject, seen, misfit) if misfit > _noise(pairs, turned) else ok(subject, seen)]
-    allowed = f"at most {100 * limits.ROTATION_MISFIT:.0f} %"
     scale, axes = min(
         itertools.product(SCALES, _axes()), key=lambda one: (round(_misfit(gyro, reference, *one), 2), _changes(*one))
     )
@@ -99,17 +104,36 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     if best > limits.ROTATION_MISFIT:
         late_ms, left = _lateness(pairs)
         if left <= min(limits.ROTATION_MISFIT, LATE_SHARE * misfit):
-            judge = error if pairs.source == CAMERAS else warning
-            return [judge(subject, seen + _late_text(late_ms, left), allowed, _late_remedy(pairs, late_ms))]
+            return [_late(pairs, subject, seen, late_ms, left)]
         remedy = f"check the extrinsics of camera and IMU, and the clocks of the IMU and {pairs.source}"
-        return [warning(subject, f"{seen}; no other unit or axes explain it", allowed, remedy)]
+        return [warning(subject, f"{seen}; no other unit or axes explain it", ALLOWED, remedy)]
     said = [SCALES[scale], _axes_text(axes)]
     seen += f"; {100 * best:.0f} % if it is {' and '.join(one for one in said if one)}"
     remedy = " and ".join(
         (["convert the readings to rad/s"] if SCALES[scale] else [])
         + (["give the IMU's mounting in /tf_static or input.calibration"] if _axes_text(axes) else [])
     )
-    return [error(subject, seen, allowed, remedy)]
+    return [error(subject, seen, ALLOWED, remedy)]
+
+
+def agrees(findings: Iterable[Finding], source: str) -> bool:
+    """Return whether `check_rotation` has judged the gyroscope against a source, and found no fault."""
+    judged = (one for one in findings if one.subject == f"{SUBJECT} {source}" and not one.seen.startswith(NOT_JUDGED))
+    return any(one.severity is Severity.OK for one in judged)
+
+
+def _check_apart(pairs: RatePairs, subject: str) -> list[Finding]:
+    """Judge rates of which hardly any are at the same time by the stamps, but some may be by the recorder's clock."""
+    late_ms, left = _lateness(pairs)
+    if left > limits.ROTATION_MISFIT:
+        return [ok(subject, f"{NOT_JUDGED}: too few intervals at the same time")]
+    return [_late(pairs, subject, "not at the same time", late_ms, left)]
+
+
+def _late(pairs: RatePairs, subject: str, seen: str, late_ms: int, left: float) -> Finding:
+    """Return the fault that an offset of the clocks explains; offsets of the truth's do not harm the flight."""
+    judge = error if pairs.source == CAMERAS else warning
+    return judge(subject, seen + _late_text(late_ms, left), ALLOWED, _late_remedy(pairs, late_ms))
 
 
 def _noise(pairs: RatePairs, turned: float) -> float:
@@ -127,7 +151,8 @@ def _late_but_alike(pairs: RatePairs, subject: str, seen: str, misfit: float) ->
 
 
 def _late_text(late_ms: int, left: float) -> str:
-    return f"; {100 * left:.0f} % if the IMU's stamps are {abs(late_ms)} ms {'late' if late_ms > 0 else 'early'}"
+    size = f"{abs(late_ms)} ms" if abs(late_ms) < 1000 else f"{abs(late_ms) / 1000:.3f} s"
+    return f"; {100 * left:.0f} % if the IMU's stamps are {size} {'late' if late_ms > 0 else 'early'}"
 
 
 def _late_remedy(pairs: RatePairs, late_ms: int) -> str:
@@ -135,9 +160,9 @@ def _late_remedy(pairs: RatePairs, late_ms: int) -> str:
     remedy = f"correct the stamps of the IMU or of {pairs.source}"
     if pairs.source != CAMERAS:
         return remedy
-    timeshift_s = pairs.offset_ns / NS_PER_S + late_ms / 1000
+    timeshift_s = round(pairs.offset_ns / NS_PER_S + late_ms / 1000, 4)
     return (
-        f"{remedy}, or give a Kalibr camchain with timeshift_cam_imu: {timeshift_s:.4g} (to about {LATE_MS.step} ms) "
+        f"{remedy}, or give a Kalibr camchain with timeshift_cam_imu: {timeshift_s:.15g} (to about {LATE_MS.step} ms) "
         "by input.calibration"
     )
 
@@ -149,7 +174,7 @@ def _lateness(pairs: RatePairs) -> tuple[int, float]:
     enough = max(MIN_INTERVALS, COVERED_SHARE * int(_covered(pairs.gyro, pairs.reference).sum()))
     found = [
         (_misfit_of(pairs.gyro_if_late(late_ms * 1_000_000), pairs.reference, enough), abs(late_ms), late_ms)
-        for late_ms in LATE_MS
+        for late_ms in {*LATE_MS, *(pairs.recorded_late_ms + ms for ms in LATE_MS)}
     ]
     left, _, late_ms = min(found)
     return late_ms, left

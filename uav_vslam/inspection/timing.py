@@ -102,9 +102,15 @@ def check_image_rate(name: str, stamps_ns: Stamps, *, tracked_gap_s: float | Non
     return [warning(f"{name} gaps", _gap_text(stamps_ns, gaps), allowed, remedy)]
 
 
-def check_clocks(streams: Mapping[str, Stream]) -> list[Finding]:
-    """Check the delay from header stamp to recording: a sensor with another delay has another clock."""
-    delays = {role: _delay_s(streams[role]) for role in SENSORS if role in streams and len(streams[role])}
+def check_clocks(streams: Mapping[str, Stream], offset_ns: int, *, gyro_agrees: bool) -> list[Finding]:
+    """Check the delay from header stamp to recording: a sensor with another delay has another clock.
+
+    Args:
+        streams: by role.
+        offset_ns: IMU time minus image stamp by the calibration [ns].
+        gyro_agrees: whether the gyroscope shows the cameras' rotation by the stamps: the IMU is only recorded late.
+    """
+    delays = _delays_s(streams, offset_ns)
     if not delays:
         return []
     usual = float(np.median(list(delays.values())))
@@ -114,13 +120,29 @@ def check_clocks(streams: Mapping[str, Stream]) -> list[Finding]:
             seen = (
                 f"header stamps are {_offset(delay_s)} recording time; those of the other sensors {_offset(usual)} it"
             )
+            if role == "imu" and gyro_agrees:
+                remedy = "the recording can be run, as the stamps agree with the images; in flight, shorten that delay"
+                found.append(warning("IMU delay", seen, f"within {REORDER_NS / NS_PER_S:g} s of theirs", remedy))
+                continue
             remedy = "let all drivers stamp with one clock, or correct the stamps"
+            if role == "imu":
+                remedy += "; an offset that stays the same can be set, see the gyroscope against the cameras"
             found.append(error(f"{NAMES[role]} clock", seen, "one clock for all sensors", remedy))
     if not found and abs(usual) > limits.OWN_CLOCK_S:
         seen = f"all header stamps are {_offset(usual)} recording time"
         remedy = "one vehicle can be run; vehicles that cooperate need one clock: synchronise them"
         found.append(warning("clock", seen, f"within {limits.OWN_CLOCK_S:g} s", remedy))
     return found or [ok("clock", f"header stamps are {_offset(usual)} recording time")]
+
+
+def recorded_late_ms(streams: Mapping[str, Stream], offset_ns: int) -> int:
+    """Return by how much more the IMU's stamps are late than `offset_ns` says if all is recorded at once [ms].
+
+    It is 0 if that is within usual delays.
+    """
+    delays = _delays_s(streams, offset_ns)
+    late_s = delays["left"] - delays["imu"] if {"left", "imu"} <= delays.keys() else 0.0
+    return round(1000.0 * late_s) if abs(late_s) > REORDER_NS / NS_PER_S else 0
 
 
 def check_coverage(imu_ns: Stamps, images_ns: Stamps) -> list[Finding]:
@@ -142,9 +164,10 @@ def check_coverage(imu_ns: Stamps, images_ns: Stamps) -> list[Finding]:
     return [judge("IMU coverage", seen, "readings from the first to the last image", remedy)]
 
 
-def check_lateness(streams: Mapping[str, Stream]) -> list[Finding]:
-    """Check that no message is recorded so late that its place in time has passed."""
-    parts = [(streams[role].recorded_ns, streams[role].stamps_ns) for role in SENSORS if role in streams]
+def check_lateness(streams: Mapping[str, Stream], offset_ns: int) -> list[Finding]:
+    """Check that no message is recorded so late that its place in time has passed; `offset_ns` as above."""
+    there = [role for role in SENSORS if role in streams]
+    parts = [(streams[role].recorded_ns, _image_clock_ns(streams, role, offset_ns)) for role in there]
     if not parts:
         return []
     recorded, stamps = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -197,8 +220,18 @@ def _gap_text(stamps_ns: Stamps, gaps: NDArray[np.intp]) -> str:
     return f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''}: {where}{', ...' if len(gaps) > 3 else ''}"
 
 
-def _delay_s(stream: Stream) -> float:
-    return float(np.median(stream.recorded_ns - stream.stamps_ns)) / NS_PER_S
+def _delays_s(streams: Mapping[str, Stream], offset_ns: int) -> dict[str, float]:
+    """Return the median delay from stamp to recording of each sensor that has messages."""
+    recorded = {role: streams[role].recorded_ns for role in SENSORS if role in streams and len(streams[role])}
+    return {
+        role: float(np.median(recorded_ns - _image_clock_ns(streams, role, offset_ns))) / NS_PER_S
+        for role, recorded_ns in recorded.items()
+    }
+
+
+def _image_clock_ns(streams: Mapping[str, Stream], role: str, offset_ns: int) -> Stamps:
+    """Return a sensor's (N,) stamps in the images' clock [ns]."""
+    return streams[role].stamps_ns - (offset_ns if role == "imu" else 0)
 
 
 def _offset(delay_s: float) -> str:
