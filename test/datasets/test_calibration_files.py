@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibrations of other tools: the same rig from Kalibr's, OpenVINS's, ROS's and EuRoC's files."""
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,43 @@ def test_kalibrs_file_tells_all_of_the_rig_and_the_clock(tmp_path: Path) -> None
     assert not setup.needs_frames
     assert setup.time_offset_ns == -4_000_000
     assert_rig(setup.rig())
+
+
+def chain_of_four(folder: Path, *, without: str = "") -> Path:
+    """Write a chain in which `LEFT` is cam1 and `RIGHT` is cam3, each camera in its place by that before."""
+    first, second = (
+        Pose(so3_exp([0.3, 0.0, 0.1]), np.array([0.5, 0.1, 0.0])),
+        Pose(np.eye(3), np.array([0.1, 0.2, 0.3])),
+    )
+    poses = [first.inverse(), Pose.identity(), second, T_LEFT_RIGHT]  # in the left camera
+    chain = [after.inverse() @ before for before, after in itertools.pairwise(poses)]
+    tree = {f"cam{k}": kalibr_camera(LEFT if k < 3 else RIGHT) for k in range(4)}
+    for k, T_camera_previous in enumerate(chain, start=1):
+        tree[f"cam{k}"]["T_cn_cnm1"] = T_camera_previous.matrix.tolist()
+    return written(folder / "camchain.yaml", {name: one for name, one in tree.items() if name != without})
+
+
+def test_two_cameras_of_a_chain_of_four_are_chosen_by_name(tmp_path: Path) -> None:
+    left, right = read_calibration([chain_of_four(tmp_path)], ["cam1", "cam3"]).cameras
+    assert right.T_left_cam is not None
+    np.testing.assert_allclose(right.T_left_cam.matrix, T_LEFT_RIGHT.matrix, atol=1e-12)
+    assert (left.camera.fx, right.camera.fx) == (LEFT.fx, RIGHT.fx)
+
+
+@pytest.mark.parametrize(
+    ("names", "without", "reason"),
+    [
+        ([], "", "4 cameras; name the left and the right one of cam0, cam1, cam2, cam3 by input.cameras"),
+        (["cam1", "cam4"], "", r"input.cameras \[cam1, cam4\] are not two of the names in .*: cam0, cam1, cam2, cam3"),
+        (["cam1", "cam1"], "", "not two of the names"),
+        (["cam0", "cam3"], "cam2", "cam3: the camera before, to which T_cn_cnm1 refers, is missing; keep all"),
+    ],
+)
+def test_which_two_cameras_of_a_chain_is_not_guessed(
+    names: list[str], without: str, reason: str, tmp_path: Path
+) -> None:
+    with pytest.raises(CalibrationError, match=reason):
+        read_calibration([chain_of_four(tmp_path, without=without)], names)
 
 
 def test_openvins_gives_each_cameras_pose_at_the_imu(tmp_path: Path) -> None:

@@ -61,6 +61,9 @@ class InputConfig(Settings):
         "calibration files of Kalibr, OpenVINS, ORB-SLAM3, VINS-Fusion, ROS or EuRoC, relative to the configuration "
         "file; what they hold is not taken from camera_info and /tf_static",
     )
+    cameras: tuple[str, ...] = setting(
+        (), "left and right camera by their names in a Kalibr camchain, such as cam1, cam3; empty: there are two"
+    )
     rectified: bool = setting(
         False, "images are rectified (image_rect): P and R of camera_info count instead of K and D"
     )

@@ -44,14 +44,15 @@ KINDS = "Kalibr, OpenVINS, ORB-SLAM3, VINS-Fusion, ROS or EuRoC"
 EUROC_SENSORS = ("cam0/sensor.yaml", "cam1/sensor.yaml", "imu0/sensor.yaml")
 
 
-def read_calibration(paths: Sequence[Path]) -> Calibration:
+def read_calibration(paths: Sequence[Path], names: Sequence[str] = ()) -> Calibration:
     """Read calibration files that together describe one vehicle.
 
     Args:
         paths: files; a `mav0` folder stands for the sensor.yaml in its cam0, cam1 and imu0.
+        names: of the left and the right camera, where a file names more; empty if there are no more than two.
 
     Raises:
-        CalibrationError: a file can't be read, is none of the known kinds, or there are more than two cameras.
+        CalibrationError: a file can't be read, is none of the known kinds, or does not have the cameras.
     """
     cameras: list[CameraCalibration] = []
     noise: dict[str, float] = {}
@@ -61,10 +62,24 @@ def read_calibration(paths: Sequence[Path]) -> Calibration:
         cameras += found.cameras
         noise |= found.noise
         T_body_imu = found.T_body_imu or T_body_imu
-    if len(cameras) > 2:
-        names = ", ".join(map(str, paths))
-        raise CalibrationError(f"{names}: {len(cameras)} cameras; give the files of the left and the right one")
-    return Calibration(tuple(_related(cameras)), noise, T_body_imu)
+    return Calibration(tuple(_related(_chosen(cameras, names, paths))), noise, T_body_imu)
+
+
+def _chosen(
+    cameras: Sequence[CameraCalibration], names: Sequence[str], paths: Sequence[Path]
+) -> Sequence[CameraCalibration]:
+    """Return the cameras of the names, or those that are there if there are no more than two."""
+    if not names and len(cameras) <= 2:
+        return cameras
+    by_name = {one.name: one for one in cameras if one.name}
+    if len(set(names)) == 2 and set(names) <= by_name.keys():
+        return [by_name[name] for name in names]
+    there, files = ", ".join(by_name), ", ".join(map(str, paths))
+    if names:
+        given = f"input.cameras [{', '.join(names)}] are not two of the names in {files}"
+        raise CalibrationError(f"{given}: {there or 'it names none; leave input.cameras empty'}")
+    remedy = f"name the left and the right one of {there} by input.cameras" if there else "give the files of the pair"
+    raise CalibrationError(f"{files}: {len(cameras)} cameras; {remedy}")
 
 
 def _files(path: Path) -> list[Path]:
@@ -118,6 +133,10 @@ def _of_kalibr(tree: Tree) -> Calibration:
         T_left_cam = None
         if not cameras:
             T_left_cam = Pose.identity()
+        elif "T_cn_cnm1" in one and name != f"cam{len(cameras)}":
+            if "T_cam_imu" not in one:
+                remedy = "keep all cameras in the file, and name two by input.cameras"
+                raise CalibrationError(f"{name}: the camera before, to which T_cn_cnm1 refers, is missing; {remedy}")
         elif "T_cn_cnm1" in one:  # maps the previous camera's coordinates to this one's
             T_left_previous = T_left_previous @ rigid_pose(one["T_cn_cnm1"], f"{name}: T_cn_cnm1").inverse()
             T_left_cam = T_left_previous
@@ -127,6 +146,7 @@ def _of_kalibr(tree: Tree) -> Calibration:
                 _pose_at_imu(one, name),
                 T_left_cam,
                 finite(one.get("timeshift_cam_imu", cameras[0].time_offset_s if cameras else 0.0), "timeshift_cam_imu"),
+                name,
             )
         )
     return Calibration(tuple(cameras))

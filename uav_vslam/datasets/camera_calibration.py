@@ -39,12 +39,14 @@ class CameraCalibration:
         T_body_cam: pose of the optical frame, None if the file has none.
         T_left_cam: pose in the left camera's frame, None likewise.
         time_offset_s: IMU time minus image stamp [s].
+        name: in a file of several cameras.
     """
 
     camera: PinholeCamera
     T_body_cam: Pose | None = None
     T_left_cam: Pose | None = None
     time_offset_s: float = 0.0
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,7 @@ class SensorSetup:
         Raises:
             CalibrationError: one can't be read.
         """
-        return cls(vehicle, config, read_calibration(config.calibration))
+        return cls(vehicle, config, read_calibration(config.calibration, config.cameras))
 
     def add_camera(self, side: str, info: Any) -> None:
         """Take the calibration of a camera's images from its CameraInfo: K and D, or P and R of rectified ones.
@@ -320,7 +320,7 @@ def with_noise_of_files(config: VehicleConfig) -> VehicleConfig:
     Raises:
         CalibrationError: a file can't be read.
     """
-    noise = read_calibration(config.input.calibration).noise
+    noise = read_calibration(config.input.calibration, config.input.cameras).noise
     own = differences(config)
     return replaced(config, {k: v for k, v in noise.items() if k not in own}, where="input.calibration")
 
