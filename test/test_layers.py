@@ -13,12 +13,13 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "uav_vslam"
 
 # What each part may import, beside itself and `errors`; the EARLY ones may be used by all.
-EARLY = {"types", "config", "geometry", "numerics", "search", "stamps"}
+EARLY = {"types", "yaml_text", "config", "geometry", "numerics", "search", "stamps"}
 ESTIMATOR = EARLY | {"ins", "estimation", "vision", "association", "slam", "cooperation"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "types": {"geometry", "numerics"},  # a record holds a Pose, and keeps the inverse of its information
-    "config": set(),
+    "yaml_text": set(),
+    "config": {"yaml_text"},
     "stamps": {"types"},
     "geometry": set(),
     "numerics": set(),
@@ -44,7 +45,7 @@ ALLOWED: dict[str, set[str]] = {
     # recorded truth becomes a trajectory, readings move to the body, images show which legs overlap
     "datasets": EARLY | {"evaluation", "ins", "vision", "argument_types"},
     "calibration": EARLY | {"vision", "datasets"},  # image pairs of files and recordings
-    "report": {"types", "geometry", "evaluation", "calibration", "monitor"},
+    "report": {"types", "yaml_text", "geometry", "evaluation", "calibration", "monitor"},
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
     "inspection": EARLY | {"ins", "vision", "datasets"},  # it judges what `datasets` reads, by what the graph allows
     # what puts them together without ROS
@@ -261,6 +262,7 @@ def test_a_killed_node_is_back_sooner_without_libraries_that_it_does_not_use(nod
 CORE = (
     "errors",
     "types",
+    "yaml_text",
     "config",
     "stamps",
     "geometry",

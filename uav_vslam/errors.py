@@ -19,6 +19,10 @@ class ConfigError(UavVslamError):
     """A configuration key, type or value is wrong."""
 
 
+class InvalidYaml(UavVslamError, ValueError):
+    """A text is no YAML; what it is of is told by whoever reads it."""
+
+
 class BagError(UavVslamError):
     """A recording is missing, damaged or incomplete."""
 

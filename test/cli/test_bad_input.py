@@ -268,7 +268,7 @@ def test_a_vehicle_named_twice_is_told_with_its_line(
 ) -> None:
     fleet = fleet_file(tmp_path, "vehicles:\n  uav1: {}\n  uav1: {}\n")
     line = refused(capsys, verb, fleet)
-    assert f"{fleet}: key 'uav1' is used twice (line 3)" in line
+    assert f"{fleet}: not valid YAML: key 'uav1' is used twice (line 3)" in line
 
 
 def test_what_a_fleet_file_says_itself_is_not_taken_from_the_command_line(

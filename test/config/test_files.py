@@ -112,13 +112,16 @@ WRONG_VEHICLE = {
         "fusion: {mode: narrowband}\nfrontend: {extractor: surf}",
         r"frontend\.extractor = 'surf' is not allowed; use one of sift, asift, dsift in narrowband mode",
     ),
-    "twice": ("imu: {gravity: 9.8}\nimu: {}", r"given\.yaml: key 'imu' is used twice \(line 4\)"),
+    "twice": ("imu: {gravity: 9.8}\nimu: {}", r"given\.yaml: not valid YAML: key 'imu' is used twice \(line 4\)"),
     "twice_inside": ("imu:\n  gravity: 9.8\n  gravity: 9.9", r"key 'gravity' is used twice \(line 5\)"),
     "twice_dotted": ("imu:\n  gravity: 9.8\nimu.gravity: 9.9", r"key 'imu\.gravity' is used twice"),
     "list_as_key": ("? [a, b]\n: 1", r"key \['a', 'b'\] must be a word \(line 3\)"),
     "a_list": ("- backend", r"ros__parameters must hold keys and values, not \['backend'\]"),
     "bad_yaml": ("backend: {sigma_px: 1.0", r"given\.yaml: not valid YAML"),
-    "bad_date": ("frames: {map: 2026-02-30}", r"given\.yaml: not valid YAML"),
+    "bad_date": (
+        "frames:\n  map: 2026-02-30",
+        r"valid YAML: '2026-02-30' is no timestamp .* \(line 4\)",
+    ),
     "tab": ("backend:\n\tsigma_px: 1.0", r"given\.yaml: not valid YAML"),
     "python_object": ("backend: !!python/object:os.system {}", "not valid YAML"),
 }

@@ -21,14 +21,15 @@ def overrides(items: Iterable[str]) -> dict[str, object]:
 
 
 def _override(item: str) -> tuple[str, object]:
-    import yaml
-
-    from uav_vslam.errors import ConfigError
+    from uav_vslam.errors import ConfigError, InvalidYaml
+    from uav_vslam.yaml_text import parse_yaml
 
     key, separator, value = item.partition("=")
     if not separator:
         raise ConfigError(f"setting {item!r} must have the form KEY=VALUE, for example backend.sigma_px=0.5")
     try:
-        return key, yaml.safe_load(value)
-    except (yaml.YAMLError, ValueError):  # ValueError: what looks like a date and is none
-        raise ConfigError(f"setting {item!r}: the value is not YAML; quote it, or close its brackets") from None
+        return key, parse_yaml(value)
+    except InvalidYaml as error:
+        raise ConfigError(
+            f"setting {item!r}: the value is not YAML: {error}; quote it, or close its brackets"
+        ) from None

@@ -27,6 +27,7 @@ from uav_vslam.config.nodes import LinkNodeConfig
 from uav_vslam.config.settings import build, differences, flatten, flattened, is_vehicle_name, plain
 from uav_vslam.config.vehicle import VehicleConfig
 from uav_vslam.errors import ConfigError, one_line
+from uav_vslam.yaml_text import Loader, parse_yaml
 
 ALL_NODES, PARAMETERS = "/**", "ros__parameters"
 CALIBRATION = "input.calibration"
@@ -271,21 +272,16 @@ def _read_parameters(path: Path) -> dict[str, Any]:
     return dict(flat)
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
+class _UniqueKeyLoader(Loader):
     """Refuses repeated keys, of which YAML silently keeps the last: a vehicle named twice must not be lost."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, Hashable):
-                raise ConfigError(
-                    f"{node.start_mark.name}: key {key!r} must be a word (line {key_node.start_mark.line + 1})"
-                )
-            if key in seen:
-                raise ConfigError(
-                    f"{node.start_mark.name}: key {key!r} is used twice (line {key_node.start_mark.line + 1})"
-                )
+            fault = "must be a word" if not isinstance(key, Hashable) else "is used twice" if key in seen else ""
+            if fault:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} {fault}", key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -297,12 +293,11 @@ def read_yaml(path: Path) -> dict[Any, Any]:
         ConfigError: it can't be read, or is not valid.
     """
     try:
-        with path.open(encoding="utf-8") as stream:
-            tree = yaml.load(stream, Loader=_UniqueKeyLoader)
+        tree = parse_yaml(path.read_text(encoding="utf-8"), _UniqueKeyLoader)
     except OSError as error:
         raise ConfigError(f"{path}: can't be read ({error.strerror}); give the path of a YAML file") from None
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: no text, or what looks like a date and is none
-        raise ConfigError(f"{path}: not valid YAML ({one_line(error)})") from None
+    except ValueError as error:  # InvalidYaml, or no text
+        raise ConfigError(f"{path}: not valid YAML: {one_line(error)}") from None
     if tree is not None and not isinstance(tree, dict):
         raise ConfigError(f"{path}: must hold keys and values, not {type(tree).__name__}")
     return tree or {}

@@ -7,12 +7,13 @@ from typing import Any
 
 import yaml
 
-from uav_vslam.errors import CalibrationError, one_line
+from uav_vslam.errors import CalibrationError, InvalidYaml
+from uav_vslam.yaml_text import Loader, parse_yaml
 
 Tree = Mapping[str, Any]
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(Loader):
     """Reads OpenCV's matrices as what they consist of: rows, cols, dt and data."""
 
 
@@ -30,7 +31,7 @@ def read_tree(path: Path) -> Tree:
     except OSError as error:
         raise CalibrationError(f"{path}: can't be read ({error.strerror})") from None
     except ValueError as error:
-        raise CalibrationError(f"{path}: not valid YAML ({error})") from None
+        raise CalibrationError(f"{path}: not valid YAML: {error}") from None
 
 
 def yaml_tree(text: str, path: Path) -> Tree:
@@ -45,11 +46,11 @@ def yaml_tree(text: str, path: Path) -> Tree:
     """
     lines = text.splitlines()
     if lines and lines[0].startswith("%YAML"):  # OpenCV's "%YAML:1.0" is not valid YAML
-        lines = lines[1:]
+        lines[0] = ""
     try:
-        tree = yaml.load("\n".join(lines), _Loader)
-    except (yaml.YAMLError, ValueError) as error:
-        raise CalibrationError(f"{path}: not valid YAML ({one_line(error)})") from None
+        tree = parse_yaml("\n".join(lines), _Loader)
+    except InvalidYaml as error:
+        raise CalibrationError(f"{path}: not valid YAML: {error}") from None
     if not isinstance(tree, dict):
         raise CalibrationError(f"{path}: holds no keys and values; give a calibration file")
     return tree

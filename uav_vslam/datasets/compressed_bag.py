@@ -18,6 +18,7 @@ import yaml
 import zstandard
 
 from uav_vslam.errors import BagError, one_line
+from uav_vslam.yaml_text import parse_yaml
 
 SUFFIX = ".zstd"
 METADATA = "metadata.yaml"
@@ -89,11 +90,11 @@ def _link_the_rest(path: Path, folder: Path, packed: Sequence[Path]) -> None:
 
 def _without_compression(metadata: Path) -> str:
     try:
-        tree = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+        tree = parse_yaml(metadata.read_text(encoding="utf-8"))
         information = tree[INFORMATION]
         information |= {"compression_format": "", "compression_mode": ""}
         information["relative_file_paths"] = [name.removesuffix(SUFFIX) for name in information["relative_file_paths"]]
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise BagError(
             f"{metadata} is damaged ({one_line(error)}); correct it, or remove it: the files are then read without it"
         ) from None

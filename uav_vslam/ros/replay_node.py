@@ -19,7 +19,6 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any
 
-import yaml
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -32,7 +31,7 @@ from uav_vslam.config.nodes import ReplayNodeConfig
 from uav_vslam.config.settings import build
 from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.errors import ConfigError
+from uav_vslam.errors import ConfigError, InvalidYaml
 from uav_vslam.ros.answers import EARLY_ANSWER, IMU_AHEAD, Answers, Readings
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.convert import stamp_from_ns
@@ -45,6 +44,7 @@ from uav_vslam.ros.recorded import Kind, Recorded
 from uav_vslam.ros.recording import INITIAL_STATE, Recording
 from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
+from uav_vslam.yaml_text import parse_yaml
 from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 
 INS_ANSWER = "ins/odometry"
@@ -273,9 +273,10 @@ def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
         if not (vehicle and key and found):
             raise ConfigError(f"inputs: {entry!r} is not of the form VEHICLE:KEY:=VALUE")
         try:
-            values.setdefault(vehicle, {})[key] = yaml.safe_load(value)
-        except (yaml.YAMLError, ValueError):  # ValueError: what looks like a date and is none
-            raise ConfigError(f"inputs: the value of {entry!r} is not YAML; close its brackets or quotes") from None
+            values.setdefault(vehicle, {})[key] = parse_yaml(value)
+        except InvalidYaml as error:
+            remedy = "quote it, or close its brackets"
+            raise ConfigError(f"inputs: the value of {entry!r} is not YAML: {error}; {remedy}") from None
     return {vehicle: build(InputConfig, own, where=f"inputs of {vehicle}") for vehicle, own in values.items()}
 
 

@@ -7,13 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import Tracks, read_results
 from uav_vslam.evaluation.files.tables import Columns, read_columns
 from uav_vslam.evaluation.output import CONFIG, SUMMARY
 from uav_vslam.types import NS_PER_S
+from uav_vslam.yaml_text import parse_yaml
 
 Figures = dict[str, Any]
 
@@ -111,8 +110,8 @@ def read_json(path: Path) -> Figures:
 
 def _config(path: Path) -> Figures:
     try:
-        return dict(yaml.safe_load(path.read_text(encoding="utf-8")) or {}) if path.exists() else {}
-    except (yaml.YAMLError, ValueError, TypeError) as error:
+        return dict(parse_yaml(path.read_text(encoding="utf-8")) or {}) if path.exists() else {}
+    except (ValueError, TypeError) as error:
         raise UavVslamError(f"{path} is no configuration: {error}; restore or remove it") from None
 
 
