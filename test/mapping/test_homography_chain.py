@@ -9,6 +9,7 @@ from flown_scene import CAMERA, Scene, patches
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.homography_chain import chain_homographies, chained_mosaic
 from uav_vslam.mapping.pictures.chain import draw_chain
+from uav_vslam.mapping.pictures.features import detect_all
 from uav_vslam.mapping.pictures.reading import read_folder
 
 SCENE = Scene(colour=patches(0.8))
@@ -48,6 +49,24 @@ def test_images_without_a_common_place_are_named(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{number}.png"), image)
     with pytest.raises(UavVslamError, match=r"images 0\.png and 1\.png have"):
         draw_chain(read_folder(tmp_path).pictures, 1.0, tmp_path)
+
+
+def test_pictures_of_16_bits_are_drawn_with_the_same_black_and_white(tmp_path: Path) -> None:
+    """Each by its own range, the ones of dark ground alone came out bright."""
+
+    def colour(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.asarray(patches(0.8)(x, y) * np.where(x < 8.0, 0.3, 1.0))
+
+    views = [Scene(colour=colour).view((8.0 * k, 0.0, 30.0)) for k in range(4)]
+    for number, view in enumerate(views):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), view.image.astype(np.uint16) * 40)
+    pictures = read_folder(tmp_path).pictures
+    drawn = cv2.imread(str(draw_chain(pictures, 1.0, tmp_path)), cv2.IMREAD_UNCHANGED)
+    first = drawn[:240, :20][drawn[:240, :20, 3] > 0][:, 0]  # only the first picture shows the west
+    truth = views[0].image[:, :20]
+    levels = detect_all(pictures, on_picture=int).pictures[0].levels
+    assert levels is not None
+    assert np.median(first) == pytest.approx(255.0 * np.median(truth * 40.0) / levels[1], rel=0.05)
 
 
 @pytest.mark.parametrize("wild", [np.diag([1e4, 1e4, 1.0]), np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.01, 0, 1.0]])])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.opacity import within, without_alpha
 from uav_vslam.mapping.orthomosaic.mosaic import UNSEEN, Picture
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.view import Image
@@ -34,7 +35,7 @@ def chain_homographies(images: Iterable[Image], names: Sequence[str] = ()) -> li
     """Return (3, 3) homographies from the pixels of each image to those of the first.
 
     Args:
-        images: in order.
+        images: in order; (H, W) grey, (H, W, 3) BGR or (H, W, 4) BGRA, of which the opaque part counts.
         names: how errors call them; by number if there are none.
 
     Raises:
@@ -45,7 +46,8 @@ def chain_homographies(images: Iterable[Image], names: Sequence[str] = ()) -> li
     before: tuple[Keypoints, str | int] | None = None
     labels: Iterable[str | int] = names or count()
     for name, image in zip(labels, images, strict=False):
-        points = extractor.detect(image)
+        shown, opaque = without_alpha(image)
+        points = within(extractor.detect(shown), opaque)
         found.append(found[-1] @ _between(points, name, *before) if before is not None else np.eye(3))
         before = points, name
     return found
@@ -55,7 +57,7 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
     """Draw images on a plane, later ones over earlier ones.
 
     Args:
-        images: as many as there are homographies, all of one size.
+        images: as many as there are homographies, all of one size; as above.
         to_map: (3, 3) homographies from pixels to x, y of the map [m].
         m_per_px: side of a pixel of the mosaic [m].
 
@@ -63,7 +65,8 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
         UavVslamError: the chain has come apart, an image reaches the horizon or is stretched beyond all measure.
     """
     raster, picture, labels = Raster(m_per_px, 0, 0, 0, 0), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.int32)
-    for number, (image, H) in enumerate(zip(images, to_map, strict=True)):
+    for number, (given, H) in enumerate(zip(images, to_map, strict=True)):
+        image, opaque = without_alpha(given)
         if number == 0:
             raster = _window(to_map, image, m_per_px)
             picture = np.zeros((*raster.shape, *image.shape[2:]), np.uint8)
@@ -73,8 +76,8 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
         place = np.array([[1 / m_per_px, 0.0, -west / m_per_px - 0.5], [0.0, 1 / m_per_px, -south / m_per_px - 0.5]])
         warp = np.vstack([place, [0.0, 0.0, 1.0]]) @ H
         drawn = cv2.warpPerspective(image, warp, part.shape[::-1], flags=cv2.INTER_LINEAR)
-        opaque = np.ones(image.shape[:2], np.uint8)
-        seen = cv2.warpPerspective(opaque, warp, part.shape[::-1], flags=cv2.INTER_NEAREST) > 0
+        inside = np.ones(image.shape[:2], np.uint8) if opaque is None else opaque.astype(np.uint8)
+        seen = cv2.warpPerspective(inside, warp, part.shape[::-1], flags=cv2.INTER_NEAREST) > 0
         at = part.within(raster)
         picture[at][seen], labels[at][seen] = drawn[seen], number
     return Picture(raster, picture, labels)

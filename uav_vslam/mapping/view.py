@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.mapping.opacity import Mask
 from uav_vslam.vision.images import to_bgr8
 
 Image = NDArray[np.uint8]
@@ -23,6 +24,7 @@ class View:
         camera: intrinsics without distortion; the image is already undistorted.
         T_map_cam: camera (optical axes) in the map frame.
         image: (H, W) grey or (H, W, 3) BGR.
+        opaque: (H, W) where the image shows something; None everywhere.
     """
 
     vehicle: str
@@ -30,6 +32,7 @@ class View:
     camera: PinholeCamera
     T_map_cam: Pose
     image: Image
+    opaque: Mask | None = None
 
     def in_colour(self) -> "View":
         """Return the view with a BGR image; a grey one gets equal channels."""

@@ -72,6 +72,9 @@ def rectify(
     u, v, depth, tangent2 = _seen_at(view, raster, heights)
     score = _score(view.camera, u, v, depth, tangent2) * np.float32(sharpness)
     score *= visible(raster, heights, view.T_map_cam.t)
+    if view.opaque is not None:
+        at = (np.nan_to_num(one, nan=-1.0) for one in (u, v))
+        score *= cv2.remap(view.opaque.astype(np.float32), *at, cv2.INTER_NEAREST)
     if not score.any():
         return None
     ground_m_per_px = float(np.median(depth[score > 0])) / view.camera.fx

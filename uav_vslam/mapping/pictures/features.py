@@ -2,14 +2,16 @@
 """SIFT points of downscaled pictures, spread over each, and the levels of 16-bit ones."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.errors import InvalidMessage, PictureError
 from uav_vslam.geometry.image_grid import spread
+from uav_vslam.mapping.opacity import Mask, within
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.raw_values import RawValues
 from uav_vslam.vision.features.base import Keypoints
@@ -53,30 +55,34 @@ def detect_all(pictures: Sequence[Picture], *, on_picture: Callable[[], None]) -
     values = RawValues()
     for picture in pictures:
         try:
-            stored = picture.stored()
-            features = detect(stored)
+            stored, opaque = picture.stored(), picture.opaque()
+            features = detect(stored, opaque)
         except (PictureError, InvalidMessage):
             found.undecoded.append(picture.name)
         else:
-            values.add(picture.camera, stored)
+            values.add(picture.camera, stored, opaque)
             found.pictures.append(picture)
             found.features.append(features)
         on_picture()
-    found.pictures[:] = [replace(picture, levels=values.levels(picture.camera)) for picture in found.pictures]
+    found.pictures[:] = values.levelled(found.pictures)
     return found
 
 
-def detect(image: NDArray[np.generic]) -> PictureFeatures:
-    """Return the points of a grey or BGR image.
+def detect(image: NDArray[np.generic], opaque: Mask | None = None) -> PictureFeatures:
+    """Return the points of a grey or BGR image, where it is opaque.
 
     Raises:
         InvalidMessage: its pixels are of a kind that is not supported.
     """
     small = shrink(image, min(1.0, LONGEST_SIDE_PX / max(image.shape)))
-    found = _strongest(to_grey8(small))
+    found = within(_strongest(to_grey8(small)), None if opaque is None else _shrunk(opaque, small.shape[:2]))
     rows = np.sort(spread(found.pixels, MOST_POINTS, size=(small.shape[1], small.shape[0])))
     pixels = to_full_resolution(found.pixels[rows], small.shape[:2], image.shape[:2])
     return PictureFeatures(pixels, found.descriptors[rows])
+
+
+def _shrunk(opaque: Mask, shape: tuple[int, ...]) -> Mask:
+    return cv2.resize(opaque.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
 
 
 def _strongest(grey: NDArray[np.uint8]) -> Keypoints:

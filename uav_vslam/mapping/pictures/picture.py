@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,10 +11,12 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from uav_vslam.errors import PictureError
+from uav_vslam.mapping.opacity import Mask
 from uav_vslam.vision.images import stretched, to_bgr8
 
 Image = NDArray[np.uint8]
 
+HALF_OPAQUE = 128
 TIFF, ORIENTATION, FIRST_ACROSS = {".tif", ".tiff"}, 0x0112, 5  # orientations from there on swap width and height
 
 
@@ -45,6 +48,7 @@ class Picture:
         time_s: seconds since 1970 by the camera's clock, whatever its time zone; None if unknown.
         position: recorded by the camera's GPS; None if unknown.
         levels: values of a 16-bit image that become black and white; None stretches each image by its own range.
+        has_alpha: parts of the image may be transparent.
     """
 
     path: Path
@@ -56,6 +60,7 @@ class Picture:
     time_s: float | None
     position: Geodetic | None
     levels: tuple[float, float] | None = None
+    has_alpha: bool = False
 
     @property
     def name(self) -> str:
@@ -82,7 +87,14 @@ class Picture:
         Raises:
             PictureError: the file is damaged or has another size than before.
         """
-        stored = _decoded(self.path)
+        return self._lying(_decoded(self.path))
+
+    def opaque(self) -> Mask | None:
+        """Return (H, W) where the image is not transparent; None if that is everywhere. Errors as of `stored`."""
+        alpha = self._lying(_by_pillow(self.path, alpha=True)) if self.has_alpha else None
+        return None if alpha is None or alpha.min() >= HALF_OPAQUE else alpha >= HALF_OPAQUE
+
+    def _lying(self, stored: NDArray[Any] | None) -> NDArray[Any]:
         if stored is None:
             raise PictureError(f"{self.path} can't be decoded; is it damaged? Remove it from the folder")
         image = np.rot90(stored) if self.turned else stored
@@ -108,11 +120,14 @@ def _lies_across(path: Path) -> bool:
         return False  # OpenCV may know better
 
 
-def _by_pillow(path: Path) -> NDArray[np.generic] | None:
+def _by_pillow(path: Path, *, alpha: bool = False) -> NDArray[np.generic] | None:
+    """Return the grey or BGR image of a file, or its (H, W) opacity; None if it can't be decoded."""
     try:
         # By path, Pillow maps an uncompressed grey file into memory with width and height swapped.
         with path.open("rb") as file, PillowImage.open(file) as image:
             image.load()  # turns it
+            if alpha:
+                return np.array(image.convert("RGBA").getchannel("A"))
             if image.mode in {"L", "I;16"}:
                 return np.array(image)
             return np.array(image.convert("RGB"))[..., ::-1]

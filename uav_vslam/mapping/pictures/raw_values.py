@@ -6,10 +6,14 @@ spoil, so black is zero unless that left less than half of the grey levels to th
 """
 
 from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.mapping.opacity import Mask
+from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.vision.images import STRETCH_PERCENTILES
 
 SAMPLES = 100  # along each side of an image, about
@@ -23,16 +27,24 @@ class RawValues:
         """Start without any."""
         self._samples: defaultdict[str, list[NDArray[np.generic]]] = defaultdict(list)
 
-    def add(self, camera: str, image: NDArray[np.generic]) -> None:
-        """Take an image, grey or BGR, into account; one of 8 bits has its levels already."""
+    def add(self, camera: str, image: NDArray[np.generic], opaque: Mask | None = None) -> None:
+        """Take an image, grey or BGR, into account where it is opaque; one of 8 bits has its levels already."""
         if image.dtype == np.uint16:
             step = max(1, min(image.shape[:2]) // SAMPLES)
-            self._samples[camera].append(image[::step, ::step].ravel())
+            sampled = image[::step, ::step]
+            self._samples[camera].append((sampled if opaque is None else sampled[opaque[::step, ::step]]).ravel())
+
+    def levelled(self, pictures: Iterable[Picture]) -> list[Picture]:
+        """Return pictures with the levels of their cameras."""
+        return [replace(picture, levels=self.levels(picture.camera)) for picture in pictures]
 
     def levels(self, camera: str) -> tuple[float, float] | None:
         """Return the values that become black and white; None if there is no image, or all of it is one value."""
         if not (samples := self._samples.get(camera)):
             return None
-        low, high = np.percentile(np.concatenate(samples), STRETCH_PERCENTILES)
+        values = np.concatenate(samples)
+        if not len(values):
+            return None
+        low, high = np.percentile(values, STRETCH_PERCENTILES)
         black = float(low) if low >= OFFSET_SHARE * high else 0.0
         return (black, float(high)) if high - black >= 1.0 else None

@@ -119,12 +119,13 @@ def _opened(files: Sequence[Path]) -> tuple[list[Picture], list[Path], set[Path]
     for path in files:
         try:
             with PillowImage.open(path) as image:
-                size, data = image.size, metadata_of(image)
+                size, data, has_alpha = image.size, metadata_of(image), image.has_transparency_data
                 _check_whole(image)
         except (OSError, SyntaxError, ValueError, EOFError, PillowImage.DecompressionBombError):
             unreadable.append(path)
             continue
-        found.append(Picture(path, *size, False, data.camera, data.focal_px, data.time_s, data.position))
+        picture = Picture(path, *size, False, data.camera, data.focal_px, data.time_s, data.position)
+        found.append(dataclasses.replace(picture, has_alpha=has_alpha))
         if data.without_altitude:
             flat.add(path)
     return found, unreadable, flat

@@ -17,6 +17,7 @@ from uav_vslam.mapping.view import Image, View
 
 NAME = "pictures"
 FADE_PX = 0.5  # how far beyond the outermost pixels' centres an image goes
+EDGE_PX = 3  # beside what is transparent, whose colour interpolation mixes in
 STRIP_ROWS = 256
 
 
@@ -51,12 +52,16 @@ class PictureViews:
             PictureError: it can't be read any more.
         """
         picture, lens = self._pictures[number], int(self._adjusted.scene.lens_of[number])
+        opaque = picture.opaque()
         if lens not in self._lenses:
             self._lenses[lens] = undistortion(self.camera(number))
         ideal, maps = self._lenses[lens]
         image = cv2.remap(picture.read(), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         stamp_ns = round((picture.time_s or 0.0) * 1e9) + number  # clocks are coarse; a stamp names a view
-        return View(NAME, stamp_ns, ideal, self.pose(number), np.asarray(image, np.uint8))
+        if opaque is not None:
+            inside = cv2.erode(opaque.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=EDGE_PX)
+            opaque = cv2.remap(inside, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE) > 0
+        return View(NAME, stamp_ns, ideal, self.pose(number), np.asarray(image, np.uint8), opaque)
 
 
 def undistortion(camera: PinholeCamera) -> tuple[PinholeCamera, tuple[Image, Image]]:
