@@ -7,7 +7,7 @@ import argparse
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.files.geodetic import Datum
@@ -57,6 +57,18 @@ def _results_folder(text: str) -> Path:
     except UavVslamError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return folder
+
+
+def add_domain(parser: argparse.ArgumentParser, default: Any = None) -> None:
+    """Declare on which ROS domain the graph is."""
+    text = "ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)"
+    parser.add_argument("--domain", type=int, default=default, metavar="ID", help=text)
+
+
+def add_rate(parser: argparse.ArgumentParser, default: str) -> None:
+    """Declare how fast recordings are replayed; `default` in words."""
+    text = f"multiple of real time; 0: paced by the graph, in lock-step (default: {default})"
+    parser.add_argument("--rate", type=float, metavar="R", help=text)
 
 
 def output_file(text: str) -> Path:

@@ -10,7 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from uav_vslam.cli.arguments import MODES, add_results
+from uav_vslam.cli.arguments import MODES, add_rate, add_results
 from uav_vslam.cli.messages import say
 
 HELP = "replay two vehicles' sample recordings through the node graph and report"
@@ -30,7 +30,7 @@ STAMPED = re.compile(r"^\[(\w+)\] \[[\d.]+\] \[[\w./]+\]: ")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("--mode", choices=MODES, help="how the vehicles communicate (default wideband)")
-    parser.add_argument("--rate", type=float, metavar="R", help="multiple of real time (default 0: lock-step)")
+    add_rate(parser, "0")
     add_results(parser)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep estimates and output in this new folder")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import MODES
+from uav_vslam.cli.arguments import MODES, add_domain, add_rate
 from uav_vslam.cli.messages import say, warn_each
 
 if TYPE_CHECKING:
@@ -42,9 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="start only this one, the others have their own computers; may be repeated",
     )
     parser.add_argument("--bag", type=Path, action="append", metavar="BAG", help="replay this instead; may be repeated")
-    parser.add_argument(
-        "--rate", type=float, metavar="R", help="multiple of real time; 0: paced by the graph (lock-step)"
-    )
+    add_rate(parser, "as in FLEET.yaml")
     parser.add_argument("--mode", choices=MODES, help="how the vehicles communicate")
     parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--record", type=Path, metavar="DIR", help="record the estimates into this new bag")
@@ -59,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("restart", "stop"),
         help="of a node: start it again, from its checkpoint, or end all (default: stop with recordings, else restart)",
     )
-    parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)")
+    add_domain(parser)
     parser.add_argument(
         "--no-parameter-services", action="store_true", help="nobody can read or change parameters in flight"
     )

@@ -4,7 +4,7 @@
 import argparse
 
 from uav_vslam.argument_types import namespace, positive_seconds
-from uav_vslam.cli.arguments import MODES
+from uav_vslam.cli.arguments import MODES, add_domain
 
 HELP = "read or switch the communication mode of a flying vehicle"
 EXAMPLES = """examples:
@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("vehicle", type=_vehicle, metavar="VEHICLE", help="its name")
     parser.add_argument("mode", nargs="?", choices=MODES, help="new mode; without it the present one is printed")
-    parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
+    add_domain(parser)
     parser.add_argument(
         "--wait", type=positive_seconds, default=5.0, metavar="S", help="time to find the vehicle [s] (default 5)"
     )

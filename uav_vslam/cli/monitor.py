@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.argument_types import namespace, positive_seconds
+from uav_vslam.cli.arguments import add_domain
 
 if TYPE_CHECKING:
     from uav_vslam.monitor import Fleet
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--every", type=positive_seconds, default=1.0, metavar="S", help="renew the view each S seconds (default 1)"
     )
-    parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
+    add_domain(parser)
 
 
 def run(args: argparse.Namespace) -> int:

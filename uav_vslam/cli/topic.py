@@ -5,6 +5,7 @@ import argparse
 from typing import Any
 
 from uav_vslam.argument_types import non_negative, positive_seconds
+from uav_vslam.cli.arguments import add_domain
 
 HELP = "list, print or measure live topics"
 EXAMPLES = """examples:
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_options(parser: argparse.ArgumentParser, *, domain: Any, wait: Any) -> None:
     """Declare where to look and for how long, with these defaults."""
-    parser.add_argument("--domain", type=int, default=domain, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
+    add_domain(parser, domain)
     parser.add_argument(
         "--wait", type=positive_seconds, default=wait, metavar="S", help="time to discover the graph [s] (default 2)"
     )

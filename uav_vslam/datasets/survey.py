@@ -54,6 +54,12 @@ COUPLE_NS = NS_PER_S // 2  # largest time between two pairs that still show the 
 HEADER_BYTES = 12  # CDR header and stamp: all else of two equal images is equal
 
 
+def median_period_ns(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the median distance of increasing stamps (N,) [ns]; NaN if there are too few."""
+    steps = np.diff(stamps_ns)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else float("nan")
+
+
 @dataclass(slots=True)
 class Stream:
     """One topic's messages in recorded order.
@@ -76,9 +82,8 @@ class Stream:
 
     @property
     def period_ns(self) -> float:
-        """Median distance of increasing stamps [ns]; NaN if there are too few."""
-        steps = np.diff(self.stamps_ns)
-        return float(np.median(steps[steps > 0])) if (steps > 0).any() else float("nan")
+        """Median distance of its increasing stamps [ns]; NaN if there are too few."""
+        return median_period_ns(self.stamps_ns)
 
 
 @dataclass(slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.bag_flight import REORDER_NS
-from uav_vslam.datasets.survey import Stream
+from uav_vslam.datasets.survey import Stream, median_period_ns
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ins.gaps import BLIND_S, FASTEST_HZ, SLOWEST_HZ, bursts_hz
 from uav_vslam.ins.preintegration import MAX_GAP_S
@@ -44,7 +44,7 @@ def check_order(name: str, stamps_ns: Stamps) -> list[Finding]:
 
 def check_imu_rate(stamps_ns: Stamps) -> list[Finding]:
     """Check rate and gaps of the IMU's (N,) stamps against what preintegration bridges."""
-    period_s = _period_s(stamps_ns)
+    period_s = median_period_ns(stamps_ns) / NS_PER_S
     if not np.isfinite(period_s):
         return []
     if found := _impossible_rate("IMU", stamps_ns, FASTEST_HZ):
@@ -86,7 +86,7 @@ def check_image_rate(name: str, stamps_ns: Stamps, *, tracked_gap_s: float | Non
         stamps_ns: in recorded order [ns].
         tracked_gap_s: longest gap over which the front end tracks; None if it does not track [s].
     """
-    period_s = _period_s(stamps_ns)
+    period_s = median_period_ns(stamps_ns) / NS_PER_S
     if not np.isfinite(period_s):
         return []
     if found := _impossible_rate(name, stamps_ns, limits.MAX_IMAGE_RATE_HZ):
@@ -195,11 +195,6 @@ def _impossible_rate(name: str, stamps_ns: Stamps, most_hz: float) -> list[Findi
     return [error(f"{name} rate", f"{rate_hz:.0f} Hz on average", f"at most {most_hz:.0f} Hz", remedy)]
 
 
-def _period_s(stamps_ns: Stamps) -> float:
-    steps = np.diff(stamps_ns)
-    return float(np.median(steps[steps > 0])) / NS_PER_S if (steps > 0).any() else float("nan")
-
-
 def _steps_s(stamps_ns: Stamps) -> NDArray[np.float64]:
     return np.asarray(np.diff(np.unique(stamps_ns)) / NS_PER_S)
 
@@ -209,7 +204,7 @@ def _gaps(stamps_ns: Stamps, longest_s: float) -> NDArray[np.intp]:
 
 
 def _lost(stamps_ns: Stamps) -> int:
-    periods = _steps_s(stamps_ns) / _period_s(stamps_ns)
+    periods = np.diff(np.unique(stamps_ns)) / median_period_ns(stamps_ns)
     return int(np.rint(periods[periods > limits.MISSING_PERIODS] - 1.0).sum())
 
 
