@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.datasets.stereo_sync import WAITING, StereoPair, StereoPairer
 from uav_vslam.stamps import RUN_LENGTH
 
 MS = 1_000_000
@@ -71,16 +71,16 @@ def test_a_camera_that_misses_its_first_image_costs_only_that_one_at_50_hertz() 
 
 
 def test_a_dead_camera_does_not_fill_the_memory() -> None:
-    pairer: StereoPairer[int] = StereoPairer(waiting=10)
+    pairer: StereoPairer[int] = StereoPairer()
     for k in range(1000):
         pairer.add_left(k * MS * 10, k)
-    assert pairer.dropped == 990
+    assert pairer.dropped == 1000 - WAITING
 
 
 @given(st.lists(st.integers(0, 3), min_size=1, max_size=30), st.randoms(use_true_random=False))
 def test_with_equal_stamps_every_common_image_pairs_once(presence: list[int], random: object) -> None:
     """Per stamp: 0 none, 1 left only, 2 right only, 3 both; sides may run ahead of each other."""
-    pairer: StereoPairer[int] = StereoPairer(waiting=100)
+    pairer: StereoPairer[int] = StereoPairer()
     found = []
     for k, what in enumerate(presence):
         stamp = (k + 1) * 100 * MS

@@ -73,9 +73,9 @@ def test_a_single_wrong_candidate_is_rejected_and_a_correct_one_accepted(name, t
     apart = np.linalg.norm(found.pixels[:, None] - found.pixels[None], axis=2)
     wrong = np.argmax(apart > 40.0, axis=1)
     alone = np.eye(len(found), dtype=bool)
-    accepted = match_gated(found.descriptors, found.descriptors[wrong], alone, 0.8, mutual=False)
+    accepted = match_gated(found.descriptors, found.descriptors[wrong], alone, 0.8)
     assert len(accepted) <= 0.05 * len(found)
-    assert len(match_gated(found.descriptors, found.descriptors, alone, 0.8, mutual=False)) == len(found)
+    assert len(match_gated(found.descriptors, found.descriptors, alone, 0.8)) == len(found)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 3), (1, 500), (17, 17), (64, 64), (64, 64, 3)])

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_vslam.vision.matching.gtm import same_neighbours
+from uav_vslam.vision.matching.gtm import NEIGHBOURS, same_neighbours
 
 
 def warped(points):
@@ -37,14 +37,14 @@ def test_wrong_matches_are_removed_under_a_smooth_deformation(points, share):
 def test_remaining_matches_have_the_same_neighbours_by_brute_force(points):
     there = warped(points)
     there[::4] = np.random.default_rng(3).uniform(0, 1000, (50, 2))
-    kept = same_neighbours(points, there, neighbours=4)
+    kept = same_neighbours(points, there)
     assert 50 < len(kept) < 200
     ends = []
     for side in (points, there):
         distance = np.linalg.norm(side[:, None] - side, axis=2)
         reach = np.median(distance[np.triu_indices(200, 1)])
         among = distance[np.ix_(kept, kept)] + np.diag(np.full(len(kept), np.inf))
-        nearest = np.argsort(among, axis=1)[:, :4]
+        nearest = np.argsort(among, axis=1)[:, :NEIGHBOURS]
         ends.append([{k for k in row if among[i, k] <= reach} for i, row in enumerate(nearest)])
     assert ends[0] == ends[1]
 

@@ -12,6 +12,7 @@ T = TypeVar("T")
 
 LARGEST_TOLERANCE_NS = 20_000_000  # of the default: cameras farther apart than this are not synchronised
 EARLY_TOLERANCE_NS = 5_000_000  # of the default while the period is unknown: half of it at 100 Hz
+WAITING = 10  # images of one camera; then the oldest is dropped
 LATE_NS = 2_000_000_000  # an older image is no late one, but of another clock
 NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
 PERIODS = 3, 20  # how many determine the frame period: at least, and of the last so many
@@ -64,16 +65,14 @@ class StereoPairer(Generic[T]):
         offset_ns: right stamp minus left stamp of the newest pair [ns].
     """
 
-    def __init__(self, *, tolerance_ns: int = 0, waiting: int = 10) -> None:
+    def __init__(self, *, tolerance_ns: int = 0) -> None:
         """Set up.
 
         Args:
             tolerance_ns: largest difference between the stamps of a pair [ns]; 0 for that of `PairTolerance`.
-            waiting: images of one camera that may wait; then the oldest is dropped.
         """
         self._tolerance = PairTolerance(tolerance_ns)
         self.offset_ns = 0
-        self._capacity = waiting
         self._left: deque[tuple[int, T]] = deque()
         self._right: deque[tuple[int, T]] = deque()
         self._newest = {"left": -1, "right": -1}
@@ -131,7 +130,7 @@ class StereoPairer(Generic[T]):
 
     def _wait(self, waiting: deque[tuple[int, T]], stamp_ns: int, item: T) -> None:
         waiting.append((stamp_ns, item))
-        if len(waiting) > self._capacity:
+        if len(waiting) > WAITING:
             waiting.popleft()
             self.dropped += 1
 

@@ -204,7 +204,7 @@ def _gaps(stamps_ns: Stamps, longest_s: float) -> NDArray[np.intp]:
 
 
 def _lost(stamps_ns: Stamps) -> int:
-    periods = np.diff(np.unique(stamps_ns)) / median_period_ns(stamps_ns)
+    periods = _steps_s(stamps_ns) * NS_PER_S / median_period_ns(stamps_ns)
     return int(np.rint(periods[periods > limits.MISSING_PERIODS] - 1.0).sum())
 
 

@@ -28,12 +28,11 @@ def gtm(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
     return pairs[same_neighbours(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]])]
 
 
-def same_neighbours(a: NDArray[np.floating], b: NDArray[np.floating], *, neighbours: int = NEIGHBOURS) -> Rows:
+def same_neighbours(a: NDArray[np.floating], b: NDArray[np.floating]) -> Rows:
     """Return the matches left when both graphs are equal; matches without neighbours are dropped.
 
     Args:
         a, b: (N, D), (N, E) matched points: row k of `a` matches row k of `b`.
-        neighbours: K.
 
     Returns:
         (M,) ascending rows.
@@ -41,7 +40,7 @@ def same_neighbours(a: NDArray[np.floating], b: NDArray[np.floating], *, neighbo
     if len(a) < 2:
         return np.zeros(0, np.intp)
     left = np.ones(len(a), bool)
-    graphs = tuple(_Neighbourhoods(np.asarray(points, float), left, neighbours) for points in (a, b))
+    graphs = tuple(_Neighbourhoods(np.asarray(points, float), left) for points in (a, b))
     differing: list[set[int]] = [set() for _ in left]  # ends of the edges from each match that only one graph has
     votes = np.zeros(len(a), np.intp)  # number of these edges to each match
 
@@ -69,13 +68,13 @@ class _Neighbourhoods:
         starts: sources of the edges to each point.
     """
 
-    def __init__(self, points: Array, left: Mask, neighbours: int) -> None:
+    def __init__(self, points: Array, left: Mask) -> None:
         self.ends: list[set[int]] = [set() for _ in points]
         self.starts: list[set[int]] = [set() for _ in points]
-        self._points, self._left, self._neighbours = points, left, neighbours
+        self._points, self._left = points, left
         apart = scipy.spatial.distance.pdist(points)
         self._reach = np.nextafter(np.median(apart), np.inf)  # the tree's bound is exclusive
-        self._lookahead = max(LOOKAHEAD, neighbours)
+        self._lookahead = LOOKAHEAD
         self._near: list[Rows] = [np.zeros(0, np.intp)] * len(points)
         self._query()
 
@@ -91,10 +90,10 @@ class _Neighbourhoods:
     def _nearest(self, row: int) -> Rows:
         near = self._near[row]
         found = near[self._left[near]]
-        if len(found) < self._neighbours and len(near) == self._lookahead:  # the queried points are exhausted
+        if len(found) < NEIGHBOURS and len(near) == self._lookahead:  # the queried points are exhausted
             self._query()
             found = self._near[row]
-        return found[: self._neighbours]
+        return found[:NEIGHBOURS]
 
     def _query(self) -> None:
         """Query the nearest points of every remaining point within reach, nearest first."""

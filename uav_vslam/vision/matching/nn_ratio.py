@@ -55,7 +55,6 @@ def match_gated(
     allowed: NDArray[np.bool_],
     ratio: float,
     *,
-    mutual: bool = True,
     single_distance: float | None = None,
 ) -> NDArray[np.intp]:
     """Match as `match_descriptors` does, among allowed pairs only; the ratio test ignores excluded candidates too.
@@ -64,7 +63,6 @@ def match_gated(
         a, b: (Na, D), (Nb, D) uint8 or float descriptors.
         allowed: (Na, Nb) pairs that may match.
         ratio: the nearest allowed must be closer than this times the second nearest allowed.
-        mutual: keep only mutual nearest allowed neighbours.
         single_distance: largest distance if only one candidate is allowed; None: that of
             SINGLE_CANDIDATE_DISTANCES.
 
@@ -74,7 +72,7 @@ def match_gated(
     if allowed.shape != (len(a), len(b)):
         raise ValueError(f"allowed is {allowed.shape}, but there are {len(a)} x {len(b)} descriptors")
     squared = np.where(allowed, squared_distances(a, b), np.float32(np.inf))
-    return match_distances(squared, ratio, mutual=mutual, single_distance=_single(a, single_distance))
+    return match_distances(squared, ratio, single_distance=_single(a, single_distance))
 
 
 def squared_distances(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.float32]:
