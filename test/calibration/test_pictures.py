@@ -11,7 +11,7 @@ from uav_vslam.calibration.pictures import FilePictures, paired, pictures_of
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import encode
 from uav_vslam.datasets.message_builders import compressed_image_message, image_message
-from uav_vslam.errors import BagError, CalibrationError, UavVslamError
+from uav_vslam.errors import CalibrationError, UavVslamError
 
 TOPICS = ("/uav1/left/image_raw", "/uav1/right/image_raw")
 
@@ -199,8 +199,10 @@ def test_what_holds_no_pictures_is_told(tmp_path: Path) -> None:
         found(tmp_path)
     with pytest.raises(CalibrationError, match=r"no picture is like .*left\*"):
         found(tmp_path / "left*", tmp_path / "right*")
-    with pytest.raises(BagError, match="does not exist"):
-        found(tmp_path / "nowhere")
+    (tmp_path / "notes.txt").touch()
+    for name in ("nowhere", "notes.txt"):
+        with pytest.raises(CalibrationError, match=f"{name} is neither a folder of pictures nor a bag; give one"):
+            found(tmp_path / name)
 
 
 def test_one_camera_named_as_both_is_refused(tmp_path: Path) -> None:

@@ -41,7 +41,10 @@ def test_compression_that_the_storage_lacks_is_refused(
 def test_a_raw_drive_of_kitti_is_no_sequence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "drive" / "image_00" / "data").mkdir(parents=True)
     assert main(["import", "kitti", str(tmp_path / "drive"), str(tmp_path / "out")]) == 2
-    assert "drive is a raw drive; give the sequence of the odometry benchmark" in capsys.readouterr().err
+    assert (
+        "drive is a raw drive; give the sequence that was made of it, sequences/NN of the odometry benchmark"
+        in capsys.readouterr().err
+    )
     assert main(["run", str(tmp_path / "drive")]) == 2
     assert "import it: uav-vslam import --help" in capsys.readouterr().err
 

@@ -125,6 +125,10 @@ def pictures_of(inputs: Sequence[str], *, topics: Sequence[str] | None = None, m
         path = Path(inputs[0])
         if path.is_dir() and not is_bag(path):
             return paired(*_sides_of(path))
+        if not path.exists() or not is_bag(path):
+            raise CalibrationError(
+                f"{path} is neither a folder of pictures nor a bag; give one, or two patterns: 'LEFT*.png' 'RIGHT*.png'"
+            )
         return _of_bag(path, topics, most)
     if len(inputs) == 2:
         left, right = (_files_like(pattern) for pattern in inputs)

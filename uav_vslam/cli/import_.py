@@ -106,14 +106,18 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: options exclude each other.
+        BagError: there is no such data set.
     """
     from uav_vslam.datasets.importing.problems import Problems
     from uav_vslam.datasets.importing.source import configuration_file, write_source
     from uav_vslam.datasets.unfinished import require_new
+    from uav_vslam.errors import BagError
 
     check_storage(args)
     kept = configuration_file(args.out).exists()  # before any work: it may be refused
     warn_each(require_new(args.out))
+    if not args.source.is_dir():
+        raise BagError(f"{args.source} is not a folder; name the one that holds the data set")
     problems = Problems(warn)
     source: Source = args.read(args, problems)
     with progress_bar("importing", source.frame_count) as advance:

@@ -218,8 +218,10 @@ def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[Raw
 
 
 def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
-    reached = "nothing could be read" if last_ns is None else f"read up to the damage after stamp {last_ns} ns"
-    remedy = "record it again or use the readable part"
+    reached, remedy = "nothing could be read", "record it again, or give the right file"
+    if last_ns is not None:
+        reached = f"read up to the damage after stamp {last_ns} ns"
+        remedy = "record it again or use the readable part"
     if last_ns is None and file.suffix == ros1_bag.SUFFIX:  # the index is at the end of such a file
         remedy = "restore its index by `rosbag reindex` of ROS 1, or record it again"
     if log := _write_ahead_log(file):

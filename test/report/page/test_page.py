@@ -200,5 +200,5 @@ def test_a_damaged_file_is_named(tmp_path: Path, name: str, text: str, message: 
 
 
 def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UavVslamError, match=r"summary\.json can't be read.*name the results of a flight"):
+    with pytest.raises(UavVslamError, match=r"holds no summary\.json; name the results of a flight"):
         write_page([tmp_path])

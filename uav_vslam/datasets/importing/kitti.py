@@ -88,11 +88,14 @@ def read_kitti(
         CalibrationError: calib.txt lacks something.
     """
     problems = problems or Problems()
-    if not (sequence / "calib.txt").exists() and any(sequence.glob(RAW_IMAGES)):
-        raise BagError(
-            f"{sequence} is a raw drive; give the sequence of the odometry benchmark that was made of it, sequences/NN "
-            "with calib.txt, times.txt and image_0, and the drive's IMU by --oxts"
-        )
+    if not (sequence / "calib.txt").exists():
+        benchmark = "sequences/NN of the odometry benchmark, with calib.txt, times.txt and image_0"
+        if any(sequence.glob(RAW_IMAGES)):
+            raise BagError(
+                f"{sequence} is a raw drive; give the sequence that was made of it, {benchmark}, and the drive's IMU "
+                "by --oxts"
+            )
+        raise BagError(f"{sequence} has no calib.txt; give the folder of one sequence, {benchmark}")
     cameras = COLOUR if colour or not (sequence / "image_0").is_dir() else GREY
     calibration = _read_calibration(sequence / "calib.txt", problems)
     relative_ns = _times(sequence / "times.txt")

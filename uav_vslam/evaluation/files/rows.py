@@ -124,7 +124,7 @@ def read_rows(path: Path) -> Rows:
                     "the line"
                 )
     if not cells:
-        raise TrajectoryFileError(f"{path} holds no poses; was the run interrupted?")
+        raise TrajectoryFileError(f"{path} holds no poses; is it a trajectory, or was the run interrupted?")
     return Rows(path, lines, cells, header, commas)
 
 
@@ -134,7 +134,8 @@ def _text(path: Path) -> str:
     except UnicodeDecodeError:
         raise TrajectoryFileError(f"{path} is not a text file; expected a trajectory as TUM, KITTI or EuRoC") from None
     except OSError as error:
-        raise TrajectoryFileError(f"{path} can't be read: {error.strerror}") from None
+        remedy = "name a trajectory file of TUM, KITTI or EuRoC"
+        raise TrajectoryFileError(f"{path} can't be read: {error.strerror}; {remedy}") from None
 
 
 def _split(text: str, *, commas: bool) -> Iterator[tuple[int, list[str], bool]]:

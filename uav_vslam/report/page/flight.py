@@ -78,6 +78,11 @@ def read_flight(folder: Path, label: str) -> FlightFiles:
     Raises:
         UavVslamError: the folder holds no flight, or a file is damaged.
     """
+    if not (folder / SUMMARY).exists():
+        raise UavVslamError(
+            f"{folder} holds no {SUMMARY}; name the results of a flight, which `uav-vslam run` makes of a recording, a "
+            "study or a mosaic"
+        )
     summary = read_json(folder / SUMMARY)
     vehicles_of = summary.get("vehicles")
     if not isinstance(vehicles_of, dict) or not all(isinstance(figures, dict) for figures in vehicles_of.values()):
