@@ -31,6 +31,7 @@ RUNS = ["gap in the IMU", "gap in the images", "truth of another time", "IMU end
 RUNS += ["a few IMU readings of NaN", "first image empty"]
 REFUSED = ["no right images", "no camera_info", "no extrinsics", "images cropped", "baseline of zero"]
 REFUSED += ["IMU frame that nothing connects", "camera_info of another size"]
+MANY_BELOW_M = 71.0  # some two thirds of the points are nearer
 
 
 def inspected(bag: Path, config: VehicleConfig | None = None) -> Inspection:
@@ -60,6 +61,14 @@ def test_two_flights_given_as_one_are_named(clean: Path, tmp_path: Path) -> None
     another = rewritten(clean, tmp_path / "another")
     found = inspect_bags((clean, another), "uav1", VehicleConfig())[1]
     assert_named(found, [("warning", "recordings", ["both hold /uav1/imu/data_raw during the same"])])
+
+
+def test_depths_of_which_many_would_not_be_used_are_named(clean: Path) -> None:
+    found = inspected(clean, load_vehicle(None, overrides={"frontend.max_depth_m": MANY_BELOW_M}))
+    (depth,) = (one for one in faults(found.findings) if one.subject == "depth")
+    inside = int(depth.seen.rsplit("; ", 1)[1].split(" %")[0])
+    assert 50 <= inside < 90
+    assert "other points are not used" in depth.remedy
 
 
 @pytest.mark.parametrize("seed", [1, 2, 4, 5])

@@ -154,9 +154,11 @@ class SensorSetup:
     @property
     def never_rectified(self) -> str:
         """Why points would stay distorted, by their topics' names; empty if they would not."""
-        for side in self._distorted if self.config.rectified and not self.files.cameras else ():
+        if not self.config.rectified or self.files.cameras:
+            return ""
+        for side in SIDES:
             topic = self.config.topic(self.vehicle, side)
-            if "raw" in _words(topic) and not _is_named_rectified(topic):
+            if side in self._distorted and "raw" in _words(topic) and not _is_named_rectified(topic):
                 return (
                     f"{topic} is raw by its name, and its lens has distortion, which input.rectified: true leaves in "
                     "it: set that to false, or name the rectified images"

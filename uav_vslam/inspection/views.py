@@ -145,5 +145,7 @@ def _check_depth(pixels: Array, rig: StereoRig, config: FrontendConfig) -> list[
     if inside >= limits.DEPTH_SHARE:
         return [ok("depth", seen)]
     allowed = f"{config.min_depth_m:g} to {config.max_depth_m:g} m (frontend.min_depth_m, max_depth_m)"
-    remedy = "set the depths of your scene; if these are impossible, the baseline has another unit"
+    remedy = (
+        "set the depths of your scene, as other points are not used; impossible ones show another unit of the baseline"
+    )
     return [warning("depth", f"{seen}; {100 * inside:.0f} % inside", allowed, remedy)]
