@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, median, ratio, ratio_interval, rms
+from uav_vslam.studies.engine.pool import grouped, in_pool, mean, mean_interval, median, ratio, ratio_interval, rms
 
 
 def test_one_worker_is_this_process_and_keeps_the_order():
@@ -22,6 +22,10 @@ def test_several_workers_keep_the_order_though_the_first_job_takes_longest():
 def test_a_job_that_fails_ends_all_others_with_its_own_error_alone():
     with pytest.raises(ValueError, match="negative"):
         list(in_pool(math.factorial, [3, -1, *[200_000] * 20], 2))
+
+
+def test_groups_and_what_is_in_them_keep_their_order():
+    assert list(grouped([5, 2, 3, 8], lambda n: n % 2).items()) == [(1, [5, 3]), (0, [2, 8])]
 
 
 def test_pooled_figures():

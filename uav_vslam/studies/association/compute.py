@@ -25,7 +25,7 @@ from uav_vslam.studies.association.image_matching import MatcherScore, kept_fram
 from uav_vslam.studies.engine.association_stages import Score
 from uav_vslam.studies.engine.extracted_flights import ExtractedFlight, recorded_flight, rendered_flight, shown_at
 from uav_vslam.studies.engine.own_only import INS, Run, Track, feed
-from uav_vslam.studies.engine.pool import median
+from uav_vslam.studies.engine.pool import grouped, median
 from uav_vslam.studies.engine.recorded_flights import extracted_recording
 from uav_vslam.studies.engine.score_columns import SCORES
 from uav_vslam.studies.engine.scores import pooled
@@ -199,8 +199,7 @@ def fly(flight: ExtractedFlight, name: str) -> Association:
 def map_rows(found: Sequence[Association]) -> list[Row]:
     """Return a row per condition and associator."""
     rows = []
-    for condition, name in dict.fromkeys((a.run.condition, a.run.name) for a in found):
-        chosen = [a for a in found if (a.run.condition, a.run.name) == (condition, name)]
+    for (condition, name), chosen in grouped(found, lambda a: (a.run.condition, a.run.name)).items():
         score = sum((a.score for a in chosen), Score())
         frames = sum(len(a.run.truth) for a in chosen)
         figures = pooled([a.run for a in chosen])

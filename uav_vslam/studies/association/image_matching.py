@@ -13,7 +13,7 @@ from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.studies.engine.association_stages import Score
 from uav_vslam.studies.engine.extracted_flights import ExtractedFlight, ground_points, shown_at
-from uav_vslam.studies.engine.pool import median
+from uav_vslam.studies.engine.pool import grouped, median
 from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.matching import MATCHERS
 
@@ -102,8 +102,7 @@ def _same_points(flight: ExtractedFlight, a: View, b: View) -> NDArray[np.bool_]
 def image_rows(matched: Sequence[MatcherScore]) -> list[Row]:
     """Return a row per condition, kind of pair and matcher."""
     rows = []
-    for condition, kind, name in dict.fromkeys((j.condition, j.kind, j.matcher) for j in matched):
-        chosen = [j for j in matched if (j.condition, j.kind, j.matcher) == (condition, kind, name)]
+    for (condition, kind, name), chosen in grouped(matched, lambda j: (j.condition, j.kind, j.matcher)).items():
         score = sum((j.score for j in chosen), Score())
         figures = score.row()
         rows.append(

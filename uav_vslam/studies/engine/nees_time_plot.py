@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from uav_vslam.report.nees_plot import ROWS, draw_band, nees_axis
 from uav_vslam.report.style import numbered_line, save
+from uav_vslam.studies.engine.pool import grouped
 
 LOWEST_MEAN = 0.05  # means over many runs scatter less than a run
 
@@ -24,12 +25,11 @@ def nees_over_time(curves: list[dict[str, Any]]) -> Figure:
     Args:
         curves: dicts with method, condition, runs, and lists under time_s, nees_position and nees_rotation.
     """
-    conditions = list(dict.fromkeys(curve["condition"] for curve in curves))
+    conditions = grouped(curves, lambda curve: curve["condition"])
     methods = list(dict.fromkeys(curve["method"] for curve in curves))
     figure = Figure(figsize=(2.0 + 5.5 * len(conditions), 6.2), layout="constrained")
     grid = figure.subplots(len(ROWS), len(conditions), sharex="col", sharey=True, squeeze=False)
-    for column, condition in zip(grid.T, conditions, strict=True):
-        found = [curve for curve in curves if curve["condition"] == condition]
+    for column, (condition, found) in zip(grid.T, conditions.items(), strict=True):
         runs = min(curve["runs"] for curve in found)  # the widest band; more runs scatter less
         for axes, part in zip(column, ROWS.values(), strict=True):
             draw_band(axes, runs=runs)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many independent jobs over a few processes, and the figures pooled over them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -13,6 +13,8 @@ from uav_vslam.processes import worker_pool
 Array = NDArray[np.float64]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
 
 CONFIDENCE = 0.95  # of the intervals
 
@@ -40,6 +42,14 @@ def _in_processes(work: Callable[[Job], Result], jobs: Sequence[Job], workers: i
         # Not `pool.map`: after a failure it cancels jobs, which the pool's own thread then can't end.
         for future in [pool.submit(work, job) for job in jobs]:
             yield future.result()
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Return the items by their key; keys and items stay in their order."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def rms(values: Sequence[float]) -> float | None:

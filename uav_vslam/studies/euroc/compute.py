@@ -19,7 +19,7 @@ from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.offline.track import track_vehicle
-from uav_vslam.studies.engine.pool import in_pool, mean
+from uav_vslam.studies.engine.pool import grouped, in_pool, mean
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 from uav_vslam.studies.euroc.starts import Start, starts_of
@@ -94,8 +94,7 @@ def run_start(job: tuple[RecordedFlight, VehicleConfig, str, Start]) -> Run:
 def table_rows(flight: RecordedFlight, runs: Sequence[Run]) -> list[Row]:
     """Return the rows of `study.json`: the worst of each filter, then every run."""
     rows = [_row(flight, run) for run in runs]
-    methods = list(dict.fromkeys(run.method for run in runs))
-    return [_worst(method, [row for row in rows if row["method"] == method]) for method in methods] + rows
+    return [_worst(method, found) for method, found in grouped(rows, lambda row: str(row["method"])).items()] + rows
 
 
 def _row(flight: RecordedFlight, run: Run) -> Row:

@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import clean, plain_log, save
+from uav_vslam.studies.engine.pool import grouped
 
 COLOURS = {"recorded": "black", "drawn": "#0072b2", "frame": "#d55e00"}  # by the first word of the start's name
 LABELS = {"recorded": "recorded start", "drawn": "drawn from its covariance", "frame": "truth at a later frame"}
@@ -24,11 +25,11 @@ def draw_starts(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def start_plot(series: list[Row]) -> Figure:
     """Return the errors of all runs, panels downwards."""
-    methods = list(dict.fromkeys(curve["method"] for curve in series))
+    methods = grouped(series, lambda curve: curve["method"])
     figure = Figure(figsize=(9.0, 1.0 + 2.0 * len(methods)), layout="constrained")
     panels = figure.subplots(len(methods), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for method, axes in zip(methods, panels, strict=True):
-        _draw(axes, [curve for curve in series if curve["method"] == method])
+    for (method, curves), axes in zip(methods.items(), panels, strict=True):
+        _draw(axes, curves)
         axes.set_ylabel(f"{method}: error [m]")
     if max((error for curve in series for error in curve["error_m"]), default=0.0) > DIVERGED_M:
         plain_log(panels[-1], "y")

@@ -16,7 +16,7 @@ from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.faults import FAULTS, FaultySource, end_s
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.studies.engine.pool import in_pool
+from uav_vslam.studies.engine.pool import grouped, in_pool
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 
 NONE = "none"
@@ -58,9 +58,8 @@ def jobs(scenario: Scenario, configs: Mapping[str, VehicleConfig], seeds: Sequen
 
 def run_study(work: Sequence[Job], *, workers: int, on_flight: Callable[[], None] = lambda: None) -> list[Row]:
     """Fly everything and return the rows of `study.json`."""
-    flown = list(in_pool(fly_fault, work, workers, on_flight))
-    labels = dict.fromkeys((name, fault) for name, _, _, fault, _ in work)
-    return [_row([one for one in flown if (one.method, one.fault) == label]) for label in labels]
+    flown = in_pool(fly_fault, work, workers, on_flight)
+    return [_row(found) for found in grouped(flown, lambda one: (one.method, one.fault)).values()]
 
 
 def fly_fault(job: Job) -> FaultRun:

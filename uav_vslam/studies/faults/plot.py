@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import BAND, LINE_COLOURS, clean, column, plain_log, save
+from uav_vslam.studies.engine.pool import grouped
 
 ALLOWED_NEES = 3.0
 MARKERS = "os^D"
@@ -23,8 +24,7 @@ def faults_plot(rows: list[Row]) -> Figure:
     faults = list(dict.fromkeys(row["condition"] for row in rows))
     figure = Figure(figsize=(11.0, 1.6 + 0.4 * len(faults)), layout="constrained")
     errors, nees = figure.subplots(1, 2, sharey=True)
-    for number, method in enumerate(dict.fromkeys(row["method"] for row in rows)):
-        found = [row for row in rows if row["method"] == method]
+    for number, (method, found) in enumerate(grouped(rows, lambda row: row["method"]).items()):
         places = [faults.index(row["condition"]) for row in found]
         style = {
             "color": LINE_COLOURS[number % len(LINE_COLOURS)],

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save
+from uav_vslam.studies.engine.pool import grouped
 from uav_vslam.studies.features.compute import FeatureLab
 from uav_vslam.studies.features.match_picture import match_picture, save_match_picture
 from uav_vslam.studies.features.sets import ImageSet, cross_pairs, usual_pairs
@@ -49,7 +50,7 @@ def draw_features(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def places_plot(rows: list[Row]) -> Figure:
     """Return bars of matches without (pale) and with RANSAC, and dots of time, by algorithm, a panel for each pair."""
-    panels = _grouped(rows, "condition")
+    panels = grouped(rows, lambda row: str(row["condition"]))
     figure, axes = _panels(len(panels))
     for at, (images, group) in zip(axes, panels.items(), strict=False):
         positions = range(len(group))
@@ -67,12 +68,10 @@ def places_plot(rows: list[Row]) -> Figure:
 
 def spacing_plot(rows: list[Row]) -> Figure:
     """Return curves of the matching rate with RANSAC over the spacing, a panel for each set and band."""
-    panels: dict[str, list[Row]] = {}
-    for row in rows:
-        panels.setdefault(_sequence(row), []).append(row)
+    panels = grouped(rows, _sequence)
     figure, axes = _panels(len(panels))
     for at, (sequence, group) in zip(axes, panels.items(), strict=False):
-        for method, curve in _grouped(group, "method").items():
+        for method, curve in grouped(group, lambda row: str(row["method"])).items():
             spacings, rates = ([row[key] for row in curve] for key in ("spacing", "rate_1_ransac"))
             colour = _colours(rows)[method]
             at.plot(spacings, rates, color=colour, marker="o", markersize=3.5, linewidth=1.5, label=method)
@@ -89,10 +88,11 @@ def spacing_plot(rows: list[Row]) -> Figure:
 
 def threshold_plot(rows: list[Row]) -> Figure:
     """Return curves of matches without (dashed) and with RANSAC over the ratio, a panel for each algorithm."""
-    panels = _grouped(rows, "method")
+    panels = grouped(rows, lambda row: str(row["method"]))
     figure, axes = _panels(len(panels))
     for at, (method, group) in zip(axes, panels.items(), strict=False):
-        for (images, curve), colour in zip(_grouped(group, "condition").items(), cycle(LINE_COLOURS), strict=False):
+        curves = grouped(group, lambda row: str(row["condition"]))
+        for (images, curve), colour in zip(curves.items(), cycle(LINE_COLOURS), strict=False):
             ratios = [row["descriptor_ratio"] for row in curve]
             every, kept = ([max(row[key], LEAST) for row in curve] for key in ("matches", "matches_ransac"))
             at.plot(ratios, every, color=colour, linestyle="--", marker="o", markersize=3)
@@ -115,13 +115,6 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
     for at in axes[count:]:
         at.set_axis_off()
     return figure, axes
-
-
-def _grouped(rows: list[Row], key: str) -> dict[str, list[Row]]:
-    groups: dict[str, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(row[key], []).append(row)
-    return groups
 
 
 def _sequence(row: Row) -> str:

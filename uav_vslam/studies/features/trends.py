@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from statistics import median
 
 from uav_vslam.evaluation.study import TABLE, Row
+from uav_vslam.studies.engine.pool import grouped
 from uav_vslam.studies.features.compute import BANDS, ON_A_GRID, PLACES, SPACINGS, SWEEP_RATIOS, THRESHOLDS
 
 TRENDS = "Trends of the thesis"
@@ -207,9 +208,7 @@ def _bands_fail(band: str) -> Callable[[Sequence[Row]], Verdict]:
 
 
 def _spacing_costs(rows: Sequence[Row]) -> Verdict:
-    curves: dict[tuple[str, str], list[Row]] = {}
-    for row in _rows(rows, SPACINGS):
-        curves.setdefault((row["method"], row["condition"].rsplit(" ", 3)[0]), []).append(row)
+    curves = grouped(_rows(rows, SPACINGS), lambda row: (row["method"], row["condition"].rsplit(" ", 3)[0]))
     ends = [(curve[0]["matches"], curve[-1]["matches"]) for curve in curves.values() if len(curve) > 1]
     if not ends:
         return None, "no sequence"

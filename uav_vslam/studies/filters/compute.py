@@ -14,7 +14,7 @@ from uav_vslam.simulation.landmarks import PER_FRAME, LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.flights import RELIEF_PER_ALTITUDE
 from uav_vslam.studies.engine.own_only import INS, Candidate, Flight, Run, Track, Trial, dead_reckoning, own_only
-from uav_vslam.studies.engine.pool import ratio
+from uav_vslam.studies.engine.pool import grouped, ratio
 from uav_vslam.studies.engine.scores import FAILURE_RULE, pooled, relative_error_rate
 from uav_vslam.studies.engine.smoothers import gtsam_batch
 from uav_vslam.studies.filters.extractor_noise import ExtractorNoise
@@ -133,10 +133,10 @@ def optimum(flight: Flight) -> Track:
 
 def consistency_rows(runs: Sequence[Run]) -> list[Row]:
     """Return a row per candidate, the end error beside the batch optimum's."""
-    rows: list[Row] = []
-    for name in dict.fromkeys(run.name for run in runs):
-        found = [run for run in runs if run.name == name]
-        rows.append({TABLE: CONSISTENCY, "method": name, "condition": found[0].condition, **pooled(found)})
+    rows: list[Row] = [
+        {TABLE: CONSISTENCY, "method": name, "condition": found[0].condition, **pooled(found)}
+        for name, found in grouped(runs, lambda run: run.name).items()
+    ]
     best = next((row["end_rms_m"] for row in rows if row["method"] == BATCH), None)
     return [{**row, "end_ratio_to_batch": ratio(row["end_rms_m"], best)} for row in rows]
 

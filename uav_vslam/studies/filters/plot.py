@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from uav_vslam.evaluation.consistency import chi_square_band
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import BAND, clean, column, plain_log, save
+from uav_vslam.studies.engine.pool import grouped
 
 Tree = dict[str, Any]
 
@@ -31,8 +32,7 @@ def draw_filters(tree: Tree, folder: Path) -> list[Path]:
     paths = []
     if consistency:
         paths.append(save(consistency_plot(consistency), folder / "consistency.png"))
-    for extractor in dict.fromkeys(row["extractor"] for row in scales):
-        chosen = [row for row in scales if row["extractor"] == extractor]
+    for extractor, chosen in grouped(scales, lambda row: str(row["extractor"])).items():
         paths.append(save(noise_plot(chosen), folder / f"noise_scales_{extractor.lower()}.png"))
     return paths
 
@@ -67,8 +67,8 @@ def noise_plot(rows: list[Row]) -> Figure:
     figure = Figure(figsize=(11.0, 5.4), layout="constrained")
     rates, nees = figure.subplots(1, 2, sharex=True)
     scales = list(dict.fromkeys(row["condition"] for row in rows))
-    for method in dict.fromkeys(row["method"] for row in rows):
-        by_scale = {row["condition"]: row for row in rows if row["method"] == method}
+    for method, of_method in grouped(rows, lambda row: row["method"]).items():
+        by_scale = {row["condition"]: row for row in of_method}
         found = [by_scale[scale] for scale in scales]
         missing = all(row["rer"] is None for row in found)
         label = f"{method} (fails)" if missing else method

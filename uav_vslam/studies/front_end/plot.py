@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import LINE_COLOURS, clean, column, save
+from uav_vslam.studies.engine.pool import grouped
 
 PANELS = {  # key of the row, its axis' name, and its limit
     "sigma_px": ("Right pixel's error, one sigma [px]", 0.15),
@@ -24,14 +25,13 @@ def draw_front_ends(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def front_end_plot(rows: list[Row]) -> Figure:
     """Return a panel a figure, with a group of bars for each condition and a dotted line at the limit."""
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    methods = grouped(rows, lambda row: row["method"])
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure = Figure(figsize=(12.0, 1.6 + 0.7 * len(conditions)), layout="constrained")
     for axes, (key, (name, asked)) in zip(figure.subplots(1, len(PANELS), sharey=True), PANELS.items(), strict=True):
         clean(axes)
         height = BAR / len(methods)
-        for number, method in enumerate(methods):
-            found = [row for row in rows if row["method"] == method]
+        for number, (method, found) in enumerate(methods.items()):
             places = [conditions.index(row["condition"]) - 0.5 * BAR + (number + 0.5) * height for row in found]
             colour = LINE_COLOURS[number % len(LINE_COLOURS)]
             bars = axes.barh(places, column(found, key), height, color=colour, label=method)

@@ -14,7 +14,7 @@ from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.engine.own_only import Run, Trial, own_only
-from uav_vslam.studies.engine.pool import mean, median, rms
+from uav_vslam.studies.engine.pool import grouped, mean, median, rms
 from uav_vslam.studies.engine.scores import FAILURE_RULE, is_finished, pooled, position_errors_m
 
 Array = NDArray[np.float64]
@@ -49,17 +49,13 @@ def long_trial(variants: Mapping[str, dict[str, Any]], *, frames: int = FRAMES) 
 
 def long_rows(runs: Sequence[Run]) -> list[Row]:
     """Return a row per variant: errors, and cost late in the flight beside cost early in it."""
-    return [_row(name, [run for run in runs if run.name == name]) for name in dict.fromkeys(run.name for run in runs)]
+    return [_row(name, found) for name, found in grouped(runs, lambda run: run.name).items()]
 
 
 def long_series(runs: Sequence[Run]) -> list[Row]:
     """Return a curve per variant over the frames of the runs that were finished: error, time, landmarks."""
-    curves = []
-    for name in dict.fromkeys(run.name for run in runs):
-        finished = [run for run in runs if run.name == name and is_finished(run)]
-        if finished:
-            curves.append({"method": name, **_curve(finished)})
-    return curves
+    finished = grouped((run for run in runs if is_finished(run)), lambda run: run.name)
+    return [{"method": name, **_curve(found)} for name, found in finished.items()]
 
 
 def _row(name: str, runs: list[Run]) -> Row:

@@ -19,7 +19,7 @@ from uav_vslam.mapping.view import View
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import Ground, ground_of
 from uav_vslam.studies.engine.kept_flights import KeptFlight, height_grid, kept_flights
-from uav_vslam.studies.engine.pool import mean, median, rms
+from uav_vslam.studies.engine.pool import grouped, mean, median, rms
 from uav_vslam.studies.orthomosaic.displacement import Displacements, displacements
 from uav_vslam.studies.orthomosaic.stitcher import stitched
 
@@ -146,9 +146,7 @@ def _to_level(view: View, ground: Ground) -> Array:
 
 def mosaic_rows(found: Sequence[Sequence[Measured]]) -> list[Row]:
     """Return a row for each method, over all seeds."""
-    groups: dict[tuple[str, str], list[Measured]] = {}
-    for one in (one for seed in found for one in seed):
-        groups.setdefault((one.method, one.condition), []).append(one)
+    groups = grouped((one for seed in found for one in seed), lambda one: (one.method, one.condition))
     return [_row(method, condition, runs) for (method, condition), runs in groups.items()]
 
 

@@ -8,7 +8,7 @@ from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.landmarks import LOOKALIKE_PX, LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.own_only import Run, Trial, own_only
-from uav_vslam.studies.engine.pool import ratio
+from uav_vslam.studies.engine.pool import grouped, ratio
 from uav_vslam.studies.engine.scores import FAILURE_RULE, pooled
 
 SHARES = (0.0, 0.05, 0.1, 0.2)
@@ -42,10 +42,10 @@ def outlier_trials(variants: Mapping[str, dict[str, Any]], *, frames: int = 160,
 def outlier_rows(runs: Sequence[Run]) -> list[Row]:
     """Return a row per setting, kind and share."""
     rows: list[Row] = []
-    for name in dict.fromkeys(run.name for run in runs):
+    for name, of_name in grouped(runs, lambda run: run.name).items():
         clean = None
-        for condition in dict.fromkeys(run.condition for run in runs):
-            found = pooled([run for run in runs if (run.name, run.condition) == (name, condition)])
+        for condition, flown in grouped(of_name, lambda run: run.condition).items():
+            found = pooled(flown)
             clean = found["end_rms_m"] if condition == CLEAN else clean
             kind, _, share = condition.partition(" ")
             figures = {**found, "end_ratio_to_clean": ratio(found["end_rms_m"], clean)}

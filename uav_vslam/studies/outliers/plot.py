@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from uav_vslam.evaluation.consistency import chi_square_band
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import BAND, LINE_COLOURS, clean, column, plain_log, save
+from uav_vslam.studies.engine.pool import grouped
 from uav_vslam.studies.outliers.compute import CLEAN
 
 KIND_DASHES = {"swapped": "--", "lookalike": "-"}
@@ -25,10 +26,10 @@ def outlier_plot(rows: list[Row]) -> Figure:
     """Return end error, as a multiple of the clean one, and NEES over the share of wrong matches."""
     figure = Figure(figsize=(11.0, 4.8), layout="constrained")
     errors, nees = figure.subplots(1, 2, sharex=True)
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    for method, colour in zip(methods, cycle(LINE_COLOURS), strict=False):
+    methods = grouped(rows, lambda row: row["method"])
+    for (method, of_method), colour in zip(methods.items(), cycle(LINE_COLOURS), strict=False):
         for kind, dashes in KIND_DASHES.items():
-            curve = [row for row in rows if row["method"] == method and row["kind"] in (kind, CLEAN)]
+            curve = [row for row in of_method if row["kind"] in (kind, CLEAN)]
             percent = [100.0 * row["wrong_match_share"] for row in curve]
             style = {"color": colour, "linestyle": dashes, "marker": "o", "linewidth": 1.6}
             errors.plot(percent, column(curve, "end_ratio_to_clean"), label=f"{method}, {kind}", **style)

@@ -11,6 +11,7 @@ from uav_vslam.evaluation.consistency import chi_square_band
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log, save
 from uav_vslam.studies.engine.nees_time_plot import nees_over_time
+from uav_vslam.studies.engine.pool import grouped
 
 PANELS = {
     "ratio_to_exact": "ATE / that with the exact calibration",
@@ -24,7 +25,7 @@ MARKERS = ("o", "s", "^", "x")
 def draw_perturbed(tree: dict[str, Any], folder: Path) -> list[Path]:
     """Draw a study into its folder and return the paths."""
     written = [save(cost_plot(tree["rows"]), folder / "perturbed.png")]
-    for level, curves in _by_level(tree.get("series", [])).items():
+    for level, curves in grouped(tree.get("series", []), _level).items():
         # a column for each method, a line for each condition
         turned = [{**curve, "condition": curve["method"], "method": curve["condition"]} for curve in curves]
         written.append(save(nees_over_time(turned), folder / f"nees_{level.replace(' ', '_')}.png"))
@@ -33,7 +34,7 @@ def draw_perturbed(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def cost_plot(rows: list[Row]) -> Figure:
     """Return ATE and NEES on logarithmic axes, conditions downwards, a row of panels for each level."""
-    levels = _by_level(rows)
+    levels = grouped(rows, _level)
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure = Figure(figsize=(13.0, len(levels) * (1.0 + 0.42 * len(conditions)) + 0.8), layout="constrained")
     grid = figure.subplots(len(levels), len(PANELS), sharey=True, squeeze=False)
@@ -56,9 +57,9 @@ def _draw(axes: Axes, rows: list[Row], conditions: list[str], key: str) -> None:
             *chi_square_band(rows[0]["runs"]), color=BAND, zorder=0, label="95 % of a consistent filter's mean"
         )
     axes.axvline(1.0, color="black", linewidth=0.9, zorder=1)
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    for number, method in enumerate(methods):
-        found = [row for row in rows if row["method"] == method and row[key] is not None]
+    methods = grouped(rows, lambda row: row["method"])
+    for number, (method, of_method) in enumerate(methods.items()):
+        found = [row for row in of_method if row[key] is not None]
         colour, marker = LINE_COLOURS[number % len(LINE_COLOURS)], MARKERS[number % len(MARKERS)]
         places = [conditions.index(row["condition"]) + 0.16 * (number - 0.5 * (len(methods) - 1)) for row in found]
         axes.plot([row[key] for row in found], places, marker, color=colour, label=method, zorder=3)
@@ -69,8 +70,5 @@ def _draw(axes: Axes, rows: list[Row], conditions: list[str], key: str) -> None:
     plain_log(axes, "x")
 
 
-def _by_level(rows: list[Row]) -> dict[str, list[Row]]:
-    levels: dict[str, list[Row]] = {}
-    for row in rows:
-        levels.setdefault(row[TABLE], []).append(row)
-    return levels
+def _level(row: Row) -> str:
+    return str(row[TABLE])

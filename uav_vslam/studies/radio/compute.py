@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from uav_vslam.evaluation.study import TABLE, Row
-from uav_vslam.studies.engine.pool import mean, ratio, rms
+from uav_vslam.studies.engine.pool import grouped, mean, ratio, rms
 
 WIDEBAND, NARROWBAND = "wideband", "narrowband"
 MODES = (WIDEBAND, NARROWBAND)
@@ -136,10 +136,7 @@ def _target(mode: str, what: str, measured: float | None, limit: str, *, met: bo
 
 
 def _flights(runs: Sequence[Run]) -> list[Row]:
-    flights: dict[tuple[int, str], list[Run]] = {}
-    for run in runs:
-        flights.setdefault((run.seed, run.mode), []).append(run)
     return [
         {TABLE: "Flights", "method": mode, "condition": f"seed {seed}", **_figures(found)}
-        for (seed, mode), found in flights.items()
+        for (seed, mode), found in grouped(runs, lambda run: (run.seed, run.mode)).items()
     ]

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uav_vslam.report.style import LINE_COLOURS, clean, save
+from uav_vslam.studies.engine.pool import grouped
 
 Curve = dict[str, Any]
 
@@ -24,10 +25,10 @@ def draw_revisit(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def revisit_plot(curves: list[Curve]) -> Figure:
     """Return a row per level: error over distance, and end errors against those of the last method."""
-    levels = list(dict.fromkeys(curve["condition"] for curve in curves))
+    levels = grouped(curves, lambda curve: curve["condition"])
     figure = Figure(figsize=(11.0, 4.2 * len(levels)), layout="constrained")
-    for level, (errors, ends) in zip(levels, figure.subplots(len(levels), 2, squeeze=False), strict=True):
-        of_level = [curve for curve in curves if curve["condition"] == level]
+    rows = figure.subplots(len(levels), 2, squeeze=False)
+    for (level, of_level), (errors, ends) in zip(levels.items(), rows, strict=True):
         _draw_errors(errors, of_level)
         _draw_ends(ends, of_level)
         errors.set_title(f"{level}, rms of {len(of_level[0]['seeds'])} flights", fontsize=10)

@@ -10,7 +10,7 @@ from uav_vslam.evaluation.segments import distances_m
 from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.slam.landmark_map import LONG_FRAMES
-from uav_vslam.studies.engine.pool import CONFIDENCE, mean, ratio, ratio_interval, rms
+from uav_vslam.studies.engine.pool import CONFIDENCE, grouped, mean, ratio, ratio_interval, rms
 from uav_vslam.studies.engine.score_columns import SCORES
 from uav_vslam.studies.engine.scores import FAILURE_RULE, end_error_m, is_finished, pooled, position_errors_m
 from uav_vslam.studies.revisit.compute import FALSE_BEYOND_M, FORGETTING, NOISE, TWIN_SHARE, Loop
@@ -38,21 +38,18 @@ NOTES = {
 def revisit_rows(loops: Sequence[Loop]) -> list[Row]:
     """Return a row per level and method."""
     rows: list[Row] = []
-    for level in dict.fromkeys(loop.level for loop in loops):
-        of_level = [loop for loop in loops if loop.level == level]
-        forgetting = [loop for loop in of_level if loop.run.name == FORGETTING]
-        for name in dict.fromkeys(loop.run.name for loop in of_level):
-            rows.append(
-                {"method": name, "condition": level, **_row([x for x in of_level if x.run.name == name], forgetting)}
-            )
+    for level, of_level in grouped(loops, lambda loop: loop.level).items():
+        by_method = grouped(of_level, lambda loop: loop.run.name)
+        forgetting = by_method.get(FORGETTING, [])
+        rows += [{"method": name, "condition": level, **_row(x, forgetting)} for name, x in by_method.items()]
     return rows
 
 
 def revisit_series(loops: Sequence[Loop]) -> list[Row]:
     """Return a curve per level and method over the flights that were finished, and each seed's end error."""
     curves = []
-    for level, name in dict.fromkeys((loop.level, loop.run.name) for loop in loops):
-        runs = [x.run for x in loops if (x.level, x.run.name) == (level, name) and is_finished(x.run)]
+    for (level, name), found in grouped(loops, lambda loop: (loop.level, loop.run.name)).items():
+        runs = [loop.run for loop in found if is_finished(loop.run)]
         if runs:
             errors = np.sqrt(np.mean([np.square(position_errors_m(run)) for run in runs], axis=0))
             curves.append(

@@ -14,7 +14,7 @@ from uav_vslam.evaluation.summary import TRACK_NAMES
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.flight_rows import scores_of
 from uav_vslam.studies.engine.flights import Method, Outcome, run_seed
-from uav_vslam.studies.engine.pool import in_pool, mean, ratio
+from uav_vslam.studies.engine.pool import grouped, in_pool, mean, ratio
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 from uav_vslam.studies.engine.variants import CALIBRATIONS
 
@@ -80,10 +80,7 @@ def run_study(
     ]
     jobs: list[Job] = [(methods, seed) for seed in seeds for methods in compared]
     outcomes = [outcome for found in in_pool(_fly, jobs, workers, on_flight) for outcome in found]
-    flown = {
-        method: [outcome for outcome in outcomes if outcome.method == method] for pair in compared for method in pair
-    }
-    return _rows(flown)
+    return _rows(grouped(outcomes, lambda outcome: outcome.method))
 
 
 def _fly(job: Job) -> list[Outcome]:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import STYLES, clean, plain_log, save
+from uav_vslam.studies.engine.pool import grouped
 
 MARKS = (  # colour, marker and size by method in the order of the rows; the next ones are again the first
     ("#d55e00", "s", 10.0),
@@ -54,8 +55,7 @@ def _draw(axes: Axes, rows: list[Row], places: dict[str, int], key: str) -> None
     for condition, place in places.items():
         values = [row[key] for row in rows if row["condition"] == condition]
         axes.plot(values, [place] * len(values), color=LINK, linewidth=2.0, zorder=1)
-    names = dict.fromkeys(row["method"] for row in rows)
-    for name, (colour, marker, size) in zip(names, itertools.cycle(MARKS), strict=False):
-        found = [row for row in rows if row["method"] == name]
+    methods = grouped(rows, lambda row: row["method"])
+    for (name, found), (colour, marker, size) in zip(methods.items(), itertools.cycle(MARKS), strict=False):
         where = [places[row["condition"]] for row in found]
         axes.plot([row[key] for row in found], where, marker, color=colour, label=name, markersize=size, zorder=3)

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import STYLES, TrackStyle, clean, save
+from uav_vslam.studies.engine.pool import grouped
 
 LINES = {
     "Truth": STYLES["truth"],
@@ -30,11 +31,10 @@ def draw_split(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def split_plot(series: list[Row]) -> Figure:
     """Return a column for each vehicle: plan view, then the errors of each axis."""
-    vehicles = list(dict.fromkeys(curve["condition"] for curve in series))
+    vehicles = grouped(series, lambda curve: curve["condition"])
     figure = Figure(figsize=(1.0 + 5.5 * len(vehicles), 11.0), layout="constrained")
     grid = figure.subplots(4, len(vehicles), squeeze=False, height_ratios=[2.0, 1.0, 1.0, 1.0])
-    for column, vehicle in enumerate(vehicles):
-        curves = [curve for curve in series if curve["condition"] == vehicle]
+    for column, (vehicle, curves) in enumerate(vehicles.items()):
         _draw_plan(grid[0, column], curves)
         grid[0, column].set_title(vehicle)
         for row, axis in enumerate(AXES, start=1):
