@@ -26,11 +26,13 @@ class Nees:
     """NEES at every keyframe with ground truth.
 
     Attributes:
+        stamps_ns: (N,) of the keyframes [ns].
         position: (N,) e^T P^-1 e / 3 of the position; NaN where P is not positive definite.
         rotation: (N,) the same for the map-frame rotation vector xi, R_true = Exp(xi) R; all NaN where the ground truth
             has no attitude.
     """
 
+    stamps_ns: NDArray[np.int64]
     position: Array
     rotation: Array
 
@@ -60,7 +62,7 @@ def nees(estimate: Trajectory, truth: Trajectory) -> Nees | None:
     rotation = normalised(rotation_error, paired.covariance[:, 3:, 3:])
     if lacks_attitude(truth, estimate):
         rotation = np.full(len(paired), np.nan)
-    return Nees(normalised(position_error, paired.covariance[:, :3, :3]), rotation)
+    return Nees(paired.stamps_ns, normalised(position_error, paired.covariance[:, :3, :3]), rotation)
 
 
 def normalised(error: Array, covariance: Array) -> Array:

@@ -8,7 +8,6 @@ import numpy as np
 
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.flight_tables import TIME, time_cells, write_table
-from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.quality import HEADING, innovation_bands
 from uav_vslam.evaluation.result import VehicleResult
 from uav_vslam.types import FrameQuality
@@ -71,8 +70,7 @@ def _sigmas(vehicle: VehicleResult) -> dict[int, list[str]]:
 def _nees(vehicle: VehicleResult) -> dict[int, list[str]]:
     """Return the NEES of position and attitude as text by stamp."""
     values = None if vehicle.truth is None else nees(vehicle.s_slam, vehicle.truth)
-    if vehicle.truth is None or values is None:
+    if values is None:
         return {}
-    stamps_ns = pair_with_truth(vehicle.s_slam, vehicle.truth)[0].stamps_ns.tolist()
-    rows = zip(stamps_ns, values.position, values.rotation, strict=True)
+    rows = zip(values.stamps_ns.tolist(), values.position, values.rotation, strict=True)
     return {stamp_ns: [f"{position:.6g}", f"{rotation:.6g}"] for stamp_ns, position, rotation in rows}

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES, Nees, chi_square_band, nees
 from uav_vslam.evaluation.output import WITH_COVARIANCE
-from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import FlightResult, VehicleResult
-from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.style import BAND, STYLES, clean, plain_log, tracks_of
 from uav_vslam.types import NS_PER_S
 
@@ -54,25 +52,21 @@ def nees_axis(axes: Axes, *, lowest: float = LOWEST) -> None:
     plain_log(axes, "y")
 
 
-def _scored(vehicle: VehicleResult) -> dict[str, tuple[Trajectory, Nees]]:
-    """Return the NEES of each SLAM track that has ground truth and a covariance, and its poses."""
+def _scored(vehicle: VehicleResult) -> dict[str, Nees]:
+    """Return the NEES of each SLAM track that has ground truth and a covariance."""
     if vehicle.truth is None:
         return {}
-    found = {}
-    for name, track in tracks_of(vehicle).items():
-        values = nees(track, vehicle.truth) if name in WITH_COVARIANCE else None
-        if values is not None:
-            found[name] = pair_with_truth(track, vehicle.truth)[0], values
-    return found
+    tracks = {name: track for name, track in tracks_of(vehicle).items() if name in WITH_COVARIANCE}
+    return {name: found for name, track in tracks.items() if (found := nees(track, vehicle.truth))}
 
 
-def _draw(column: NDArray[Any], tracks: dict[str, tuple[Trajectory, Nees]]) -> None:
-    start_ns = min(int(track.stamps_ns[0]) for track, _ in tracks.values())
+def _draw(column: NDArray[Any], tracks: dict[str, Nees]) -> None:
+    start_ns = min(int(values.stamps_ns[0]) for values in tracks.values())
     for axes, part in zip(column, ROWS.values(), strict=True):
         draw_band(axes)
-        for name, (track, values) in sorted(tracks.items(), reverse=True):
-            style, seconds = STYLES[name], (track.stamps_ns - start_ns) / NS_PER_S
+        for name, values in sorted(tracks.items(), reverse=True):
+            style, seconds = STYLES[name], (values.stamps_ns - start_ns) / NS_PER_S
             line = {"color": style.colour, "linewidth": style.width, "zorder": style.order}
             axes.plot(seconds, getattr(values, part), label=style.label, **line)
-        counted = (track.stamps_ns[min(SKIPPED_KEYFRAMES, len(track) - 1)] - start_ns) / NS_PER_S
+        counted = (values.stamps_ns[: SKIPPED_KEYFRAMES + 1][-1] - start_ns) / NS_PER_S
         axes.axvline(counted, color="black", linewidth=0.8, linestyle=":", label="the mean counts from here")

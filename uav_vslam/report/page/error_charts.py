@@ -24,20 +24,17 @@ def error_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
 
 def nees_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the NEES of position and attitude; none without ground truth."""
-    values = {
-        name: (pair[0], found)
-        for name, pair in _pairs(vehicle).items()
-        if (found := nees(pair[0], vehicle.tracks["truth"])) is not None
-    }
+    pairs = _pairs(vehicle).items()
+    values = {name: found for name, (track, _) in pairs if (found := nees(track, vehicle.tracks["truth"]))}
     if not values:
         return []
-    seconds = {name: flight.seconds_of(track.stamps_ns) for name, (track, _) in values.items()}
+    seconds = {name: flight.seconds_of(found.stamps_ns) for name, found in values.items()}
     ends = np.array([min(x[0] for x in seconds.values()), max(x[-1] for x in seconds.values())])
     low, high = chi_square_band(1)
     band = Band("95 % band", "band", ends, np.full(2, low), np.full(2, high))
     charts = []
     for title, part in (("Position NEES / 3", "position"), ("Attitude NEES / 3", "rotation")):
-        curves = {name: np.maximum(getattr(found, part), LOWEST_NEES) for name, (_, found) in values.items()}
+        curves = {name: np.maximum(getattr(found, part), LOWEST_NEES) for name, found in values.items()}
         lines = [_line(name, seconds[name], y) for name, y in curves.items()]
         expected = Line("expected", "grey", ends, np.ones(2), width=1.0, dashed=True)
         charts.append(Chart(title, (expected, *lines), (band,), log=True))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig, find_config, load_vehicle
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.consistency import nees
-from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import VehicleResult
 from uav_vslam.evaluation.summary import TRACKS, build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -160,8 +159,9 @@ def _nees_curve(vehicle: VehicleResult, track: str) -> NeesCurve | None:
     if estimate is None or vehicle.truth is None:
         return None
     values = nees(estimate, vehicle.truth)
-    stamps_ns = pair_with_truth(estimate, vehicle.truth)[0].stamps_ns
-    return NeesCurve((stamps_ns - stamps_ns[0]) / NS_PER_S, values.position, values.rotation) if values else None
+    if values is None:
+        return None
+    return NeesCurve((values.stamps_ns - values.stamps_ns[0]) / NS_PER_S, values.position, values.rotation)
 
 
 def _sources(
