@@ -51,8 +51,8 @@ def _draw_truth(runs: Sequence[PairedRun], plan: Axes, height: Axes) -> None:
     style = STYLES["truth"]
     for run in runs:
         x, y, _ = run.true_path.positions.T
-        plan.plot(x, y, color=style.colour, linewidth=style.width)
-        height.plot(run.flown_m, run.truth.positions[:, 2], color=style.colour, linewidth=style.width)
+        plan.plot(x, y, **style.line)
+        height.plot(run.flown_m, run.truth.positions[:, 2], **style.line)
         plan.plot(x[0], y[0], marker="o", color="black", markersize=6, markerfacecolor="white", zorder=6)
 
 
@@ -100,4 +100,4 @@ def _legend(runs: Sequence[PairedRun]) -> list[Line2D]:
     truth = STYLES["truth"]
     lines = [Line2D([], [], label=run.run.label, **numbered_line(k, width=1.3)) for k, run in enumerate(runs)]
     start = Line2D([], [], linestyle="", marker="o", color="black", markerfacecolor="white", label="Start")
-    return [Line2D([], [], label=truth.label, color=truth.colour, linewidth=truth.width), *lines, start]
+    return [Line2D([], [], label=truth.label, **truth.line), *lines, start]

@@ -56,7 +56,7 @@ def _draw(column: NDArray[Any], seconds: Array, error: Array, covariance: Array 
     for axis, axes in enumerate(column):
         clean(axes)
         axes.axhline(0.0, color="#888888", linewidth=0.6)
-        axes.plot(seconds, error[:, axis], color=style.colour, linewidth=style.width, zorder=style.order)
+        axes.plot(seconds, error[:, axis], **style.line)
         if covariance is None:
             continue
         band = SIGMAS * np.sqrt(np.maximum(covariance[:, axis, axis], 0.0))
@@ -72,7 +72,7 @@ def _legend(vehicles: list[VehicleResult]) -> list[Any]:
     for name in BAND_COLOURS:
         if name in present:
             style = STYLES[name]
-            handles.append(Line2D([], [], color=style.colour, linewidth=style.width, label=f"{style.label} error"))
+            handles.append(Line2D([], [], label=f"{style.label} error", **style.line))
             band = f"{style.label} ±{SIGMAS:.0f} sigma"
             handles.append(Patch(color=BAND_COLOURS[name], linewidth=0, label=band))
     return handles

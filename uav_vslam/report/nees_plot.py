@@ -66,7 +66,6 @@ def _draw(column: NDArray[Any], tracks: dict[str, Nees]) -> None:
         draw_band(axes)
         for name, values in sorted(tracks.items(), reverse=True):
             style, seconds = STYLES[name], (values.stamps_ns - start_ns) / NS_PER_S
-            line = {"color": style.colour, "linewidth": style.width, "zorder": style.order}
-            axes.plot(seconds, getattr(values, part), label=style.label, **line)
+            axes.plot(seconds, getattr(values, part), label=style.label, **style.line)
         counted = (values.stamps_ns[: SKIPPED_KEYFRAMES + 1][-1] - start_ns) / NS_PER_S
         axes.axvline(counted, color="black", linewidth=0.8, linestyle=":", label="the mean counts from here")

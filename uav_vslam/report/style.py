@@ -44,6 +44,11 @@ class TrackStyle:
     dashes: str = "-"
     order: int = 2
 
+    @property
+    def line(self) -> dict[str, Any]:
+        """How `Axes.plot` is to draw it."""
+        return {"color": self.colour, "linewidth": self.width, "linestyle": self.dashes, "zorder": self.order}
+
 
 STYLES = {  # the ground truth is a broad line below the estimates
     "c_slam": TrackStyle("C-SLAM", "#00b8d4", 1.8, order=5),

@@ -44,7 +44,7 @@ def plan_view(result: FlightResult) -> Figure:
     for vehicle in result.vehicles.values():
         for name, track in tracks_of(vehicle).items():
             points = _thin(track)
-            axes.plot(points[:, 0], points[:, 1], **_line(name))
+            axes.plot(points[:, 0], points[:, 1], **STYLES[name].line)
         _mark_ends(axes, vehicle.name, vehicle.truth or vehicle.s_slam)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     name_axes(axes, result.config)
@@ -59,16 +59,6 @@ def _thin(track: Trajectory) -> Array:
     step = max(1, len(track) // MAX_POINTS)
     rows = np.unique(np.append(np.arange(0, len(track), step), len(track) - 1))
     return track.positions[rows]
-
-
-def _line(name: str) -> dict[str, Any]:
-    style = STYLES[name]
-    return {
-        "color": style.colour,
-        "linewidth": style.width,
-        "linestyle": style.dashes,
-        "zorder": style.order,
-    }
 
 
 def _mark_ends(axes: Axes, name: str, track: Trajectory) -> None:
@@ -89,6 +79,6 @@ def _mark_ends(axes: Axes, name: str, track: Trajectory) -> None:
 def _legend(result: FlightResult) -> list[Line2D]:
     present = {name for vehicle in result.vehicles.values() for name in tracks_of(vehicle)}
     shown = [name for name in ("truth", "c_slam", "s_slam", "smoothed", "ins") if name in present]
-    lines = [Line2D([], [], label=STYLES[name].label, **_line(name)) for name in shown]
+    lines = [Line2D([], [], label=STYLES[name].label, **STYLES[name].line) for name in shown]
     start = Line2D([], [], linestyle="", marker="o", color="black", markerfacecolor="white", label="Start")
     return [*lines, start, Line2D([], [], linestyle="", marker="s", color="black", label="End")]

@@ -42,7 +42,7 @@ def split_plot(series: list[Row]) -> Figure:
         grid[3, column].set_xlabel("Time [s]")
     for axes, axis in zip(grid[1:, 0], AXES, strict=True):
         axes.set_ylabel(f"{axis.capitalize()} error, rms [m]")
-    handles = [Line2D([], [], label=label, **_line(label)) for label in LINES]
+    handles = [Line2D([], [], label=label, **style.line) for label, style in LINES.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     return figure
 
@@ -51,7 +51,7 @@ def _draw_plan(axes: Axes, curves: list[Row]) -> None:
     """Draw the first seed's tracks from above; the view is that of all but the INS."""
     clean(axes)
     for curve in curves:
-        axes.plot(curve["east_m"], curve["north_m"], **_line(curve["method"]))
+        axes.plot(curve["east_m"], curve["north_m"], **LINES[curve["method"]].line)
     kept = [curve for curve in curves if curve["method"] != "INS"]
     for which, key in (("x", "east_m"), ("y", "north_m")):
         values = np.concatenate([curve[key] for curve in kept])
@@ -66,11 +66,6 @@ def _draw_errors(axes: Axes, curves: list[Row], axis: str) -> None:
     key = f"error_{axis}_rms_m"
     for curve in curves:
         if curve["method"] != "Truth":
-            axes.plot(curve["time_s"], curve[key], **_line(curve["method"]))
+            axes.plot(curve["time_s"], curve[key], **LINES[curve["method"]].line)
     top = max(max(curve[key]) for curve in curves if curve["method"] not in ("Truth", "INS"))
     axes.set_ylim(0.0, MARGIN * top or 1.0)
-
-
-def _line(label: str) -> dict[str, Any]:
-    style = LINES[label]
-    return {"color": style.colour, "linewidth": style.width, "linestyle": style.dashes, "zorder": style.order}
