@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES, Nees, chi_square_band, nees
 from uav_vslam.evaluation.output import WITH_COVARIANCE
 from uav_vslam.evaluation.result import FlightResult, VehicleResult
-from uav_vslam.report.style import BAND, STYLES, clean, plain_log, tracks_of
+from uav_vslam.report.style import BAND, STYLES, clean, plain_log, shared_legend, tracks_of
 from uav_vslam.types import NS_PER_S
 
 ROWS = {"Position NEES / 3": "position", "Attitude NEES / 3": "rotation"}
@@ -33,8 +33,7 @@ def nees_plot(result: FlightResult) -> Figure | None:
     for axes in grid[:, 0]:
         nees_axis(axes)
     figure.suptitle(f"{result.name}: consistency; 1 is expected, above the band over-confident")
-    legend = {name: handle for axes in grid[0] for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=5, frameon=False)
+    shared_legend(figure, grid[0], ncols=5)
     return figure
 
 

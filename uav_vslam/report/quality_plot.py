@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.quality import claimed_sigma, innovation_bands
 from uav_vslam.evaluation.result import FlightResult, VehicleResult
-from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log
+from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log, shared_legend
 from uav_vslam.types import NS_PER_S, FrameQuality
 
 COASTED, EVENT, SIGMA = "#f3c9c4", "#d62728", "#d9d9d9"
@@ -43,9 +43,7 @@ def quality_plot(result: FlightResult) -> Figure | None:
     for axes, label in zip(grid[:, 0], labels, strict=True):
         axes.set_ylabel(label)
     figure.suptitle(f"{result.name}: S-SLAM without ground truth; shaded: coasted, dashed: reported problem")
-    rows = [grid[row, 0] for row in ((0, 1, len(LABELS)) if estimated else (0, 1))]
-    legend = {name: handle for axes in rows for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=6, frameon=False)
+    shared_legend(figure, grid[:, 0], ncols=6)
     return figure
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Style of all plots: the thesis's colours, and the view limits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,13 @@ def clean(axes: Axes) -> None:
     axes.set_axisbelow("line")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+def shared_legend(figure: Figure, panels: Iterable[Axes], *, above: bool = False, **options: Any) -> None:
+    """Add a legend below or above the whole figure, of what some panels show, each label once."""
+    shown = {label: line for axes in panels for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    options |= {"loc": "outside upper center" if above else "outside lower center", "frameon": False}
+    figure.legend(shown.values(), shown.keys(), **options)
 
 
 def plain_log(axes: Axes, which: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save
+from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save, shared_legend
 
 MARKERS = ("o", "s", "D", "^", "v")
 MAP_PANELS = {"precision": "Precision", "recall": "Recall", "ate_rms_m": "ATE [m]", "ms_association": "Time [ms]"}
@@ -48,5 +48,5 @@ def dot_plot(rows: list[Row], panels: dict[str, str]) -> Figure:
         if key.startswith(("ms", "ate")):
             plain_log(axes, "x")
         clean(axes)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    shared_legend(figure, [axes], ncols=3)
     return figure

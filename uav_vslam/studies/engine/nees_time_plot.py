@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.report.nees_plot import ROWS, draw_band, nees_axis
-from uav_vslam.report.style import numbered_line, save
+from uav_vslam.report.style import numbered_line, save, shared_legend
 from uav_vslam.studies.engine.pool import grouped
 
 LOWEST_MEAN = 0.05  # means over many runs scatter less than a run
@@ -41,8 +41,5 @@ def nees_over_time(curves: list[dict[str, Any]]) -> Figure:
     for axes, label in zip(grid[:, 0], ROWS, strict=True):
         axes.set_ylabel(f"{label}, mean")
         nees_axis(axes, lowest=LOWEST_MEAN)
-    entries = {
-        label: handle for axes in grid[0] for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=4, frameon=False)
+    shared_legend(figure, grid[0], ncols=4)
     return figure

@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import BAND, LINE_COLOURS, clean, column, plain_log, save
+from uav_vslam.report.style import BAND, LINE_COLOURS, clean, column, plain_log, save, shared_legend
 from uav_vslam.studies.engine.pool import grouped
 
 ALLOWED_NEES = 3.0
@@ -43,6 +43,5 @@ def faults_plot(rows: list[Row]) -> Figure:
     nees.set(xlim=(low, high), xlabel="Position NEES / 3, worst seed")
     errors.set(xlabel="End error, root mean square [m]", yticks=range(len(faults)), yticklabels=faults)
     errors.invert_yaxis()
-    handles, labels = errors.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
+    shared_legend(figure, [errors], above=True, ncols=4)
     return figure

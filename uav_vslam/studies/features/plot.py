@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save
+from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save, shared_legend
 from uav_vslam.studies.engine.pool import grouped
 from uav_vslam.studies.features.compute import FeatureLab
 from uav_vslam.studies.features.match_picture import match_picture, save_match_picture
@@ -80,8 +80,7 @@ def spacing_plot(rows: list[Row]) -> Figure:
         at.set_xlabel("Images apart")
         at.xaxis.set_major_locator(MaxNLocator(integer=True))
         clean(at)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    shared_legend(figure, axes[:1], ncols=4)
     figure.supylabel("Matches with RANSAC / keypoints of the first image")
     return figure
 
@@ -101,8 +100,7 @@ def threshold_plot(rows: list[Row]) -> Figure:
         at.set_xlabel("Ratio of nearest to second-nearest distance")
         plain_log(at, "y")
         clean(at)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    shared_legend(figure, axes[:1], ncols=2, fontsize=8)
     figure.supylabel("Matches, dashed without and full with RANSAC")
     return figure
 

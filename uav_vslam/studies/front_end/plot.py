@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import LINE_COLOURS, clean, column, save
+from uav_vslam.report.style import LINE_COLOURS, clean, column, save, shared_legend
 from uav_vslam.studies.engine.pool import grouped
 
 PANELS = {  # key of the row, its axis' name, and its limit
@@ -40,6 +40,5 @@ def front_end_plot(rows: list[Row]) -> Figure:
         axes.margins(x=0.15)
         axes.set(xlabel=name, yticks=range(len(conditions)), yticklabels=conditions)
     axes.invert_yaxis()
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(methods), frameon=False)
+    shared_legend(figure, [axes], above=True, ncols=len(methods))
     return figure

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.consistency import chi_square_band
 from uav_vslam.evaluation.study import TABLE, Row
-from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log, save
+from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log, save, shared_legend
 from uav_vslam.studies.engine.nees_time_plot import nees_over_time
 from uav_vslam.studies.engine.pool import grouped
 
@@ -45,8 +45,7 @@ def cost_plot(rows: list[Row]) -> Figure:
         line[0].set_title(f"{level}, runs of each mark: {found[0]['runs']}", loc="left", fontsize=10)
     grid[0, 0].set_yticks(range(len(conditions)), conditions)
     grid[0, 0].invert_yaxis()
-    handles, labels = grid[0, 1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    shared_legend(figure, grid[0, 1:2], ncols=4)
     return figure
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from uav_vslam.report.style import LINE_COLOURS, clean, save
+from uav_vslam.report.style import LINE_COLOURS, clean, save, shared_legend
 from uav_vslam.studies.engine.pool import grouped
 
 Curve = dict[str, Any]
@@ -33,8 +33,7 @@ def revisit_plot(curves: list[Curve]) -> Figure:
         _draw_ends(ends, of_level)
         errors.set_title(f"{level}, rms of {len(of_level[0]['seeds'])} flights", fontsize=10)
         ends.set_title(f"each flight; solid: equal, dashed: {ALLOWED_RATIO:g} of it", fontsize=10)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    shared_legend(figure, figure.axes[:1], ncols=4)
     return figure
 
 

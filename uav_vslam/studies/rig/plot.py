@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import STYLES, clean, plain_log, save
+from uav_vslam.report.style import STYLES, clean, plain_log, save, shared_legend
 from uav_vslam.studies.engine.pool import grouped
 
 MARKS = (  # colour, marker and size by method in the order of the rows; the next ones are again the first
@@ -44,8 +44,7 @@ def rig_plot(rows: list[Row]) -> Figure:
     errors.set_yticklabels(list(places))
     errors.invert_yaxis()
     nees.set(xlabel="Position NEES / 3")
-    lines = {line.get_label(): line for axes in (errors, nees) for line in axes.get_legend_handles_labels()[0]}
-    figure.legend(lines.values(), lines.keys(), loc="outside upper center", ncols=len(lines), frameon=False)
+    shared_legend(figure, (errors, nees), above=True, ncols=len(rows))
     return figure
 
 
