@@ -25,7 +25,7 @@ def rows(figures: Figures) -> list[tuple[str, str]]:
     """Return the lines of the table."""
     unit = unit_of(figures["scale"])
     error, overlap, seam = figures["reprojection_px"], figures["overlap"], figures["seam"]
-    lines = [
+    return [
         ("Pictures used", f"{figures['used']} of {figures['pictures']}"),
         ("Matched pairs, points", f"{figures['pairs']}, {figures['points']}"),
         ("Reprojection error, RMS (median)", f"{error['rms']:.2f} px ({error['median']:.2f} px)"),
@@ -39,7 +39,6 @@ def rows(figures: Figures) -> list[tuple[str, str]]:
         ("Step of brightness at seams, median (90 %)", _step(seam)),
         ("Mosaic", f"{figures['width']}x{figures['height']} px of {figures['m_per_px']:.4g} {unit}"),
     ]
-    return lines
 
 
 def unit_of(scale: str) -> str:

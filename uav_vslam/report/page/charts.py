@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Charts over time as data for the page's script."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -73,7 +73,7 @@ class Chart:
     log: bool = False
     from_zero: bool = False
     shades: tuple[tuple[float, float], ...] = ()
-    marks: tuple[tuple[float, str], ...] = field(default=())
+    marks: tuple[tuple[float, str], ...] = ()
 
 
 def points_of_each(vehicles: int, most: int = MOST_POINTS) -> int:

@@ -48,7 +48,7 @@ def differing(columns: dict[str, dict[str, str]]) -> list[str]:
 def _columns(flight: FlightFiles, *, several: bool) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield a title and the settings of each vehicle; one for all if nothing differs."""
     trees = {
-        name.strip("/*"): flat(tree.get(PARAMETERS, tree) if isinstance(tree, dict) else tree, "")
+        name.strip("/*"): flat(tree.get(PARAMETERS, tree) if isinstance(tree, dict) else tree)
         for name, tree in flight.config.items()
     }
     same = len({tuple(tree.items()) for tree in trees.values()}) == 1
@@ -80,7 +80,7 @@ def _all(columns: dict[str, dict[str, str]]) -> Markup:
 
 
 def _table(columns: dict[str, dict[str, str]], keys: Sequence[str], caption: str) -> Markup:
-    different = set(differing(columns)) if len(columns) > 1 else set()
+    different = set(differing(columns))
     rows: list[list[Cell]] = [
         [
             (key or "value", "key"),

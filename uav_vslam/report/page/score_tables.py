@@ -7,7 +7,7 @@ from uav_vslam.evaluation.quality import CONSERVATIVE, CONSISTENT, OVER_CONFIDEN
 from uav_vslam.evaluation.summary import TRACK_NAMES, TRACKS
 from uav_vslam.report.layout import RELATIVE_TITLES, figure_text
 from uav_vslam.report.page.flight import Figures, FlightFiles
-from uav_vslam.report.page.html import Cell, Markup, joined, section, table, tag
+from uav_vslam.report.page.html import Cell, Markup, section, table, tag
 from uav_vslam.report.quality_lines import quality_lines
 from uav_vslam.report.table import CLAIMS, is_scored, link_line, score_titles
 
@@ -87,4 +87,4 @@ def _table(flights: Sequence[FlightFiles], columns: dict[str, str], caption: str
                 figures = [figure_text(tracks[track].get(key)) for key in columns.values()]
                 cells: list[Cell] = [(figure, "number") for figure in figures]
                 rows.append([*([flight.label] if several else []), name, TRACK_NAMES[track], *cells])
-    return joined([table(heads, rows, caption=caption)])
+    return table(heads, rows, caption=caption)

@@ -37,9 +37,7 @@ CHOLESKY, QR = "CHOLESKY", "QR"
 ABUNDANCE = 1.5  # landmarks on the ground for each that a frame shows
 
 
-def back_end(
-    landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factorisation: str = CHOLESKY, seed: int = 1
-) -> Row:
+def back_end(landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factorisation: str = CHOLESKY) -> Row:
     """Time both over a flight; their errors are those of this one flight.
 
     Args:
@@ -48,9 +46,8 @@ def back_end(
         lag_s: of the smoother [s].
         factorisation: of the smoother. CHOLESKY is many times faster, but can't use the motion with the covariance that
             was measured and that our filter uses; QR can.
-        seed: of the flight.
     """
-    vehicle = simulate_vehicle(Scenario(frames=WARM_UP + frames, seed=seed), 0)
+    vehicle = simulate_vehicle(Scenario(frames=WARM_UP + frames, seed=1), 0)
     field = scatter_landmarks([vehicle], per_frame=ABUNDANCE * landmarks)
     seen = thin_out(observe(vehicle, field), landmarks, size=vehicle.rig.left.size)
     ours, theirs = _our_back_end(vehicle, seen), _gtsam(vehicle, seen, lag_s, factorisation)

@@ -163,8 +163,8 @@ def preintegration(repeats: int) -> Row:
 def fusion(shared: int, repeats: int) -> Row:
     """Time the fusion of one packet, all of whose landmarks are shared."""
     count = max(OWN_LANDMARKS, shared)
-    own = _belief("uav1", list(range(count)), stamp_s=11.0)
-    peer = _belief("uav2", list(range(shared)), stamp_s=10.0)
+    own = _belief("uav1", count, stamp_s=11.0)
+    peer = _belief("uav2", shared, stamp_s=10.0)
     core = Fusion("uav1", FusionConfig())
     core.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=shared)))
     size = POSE_DIM + 3 * count
@@ -178,8 +178,8 @@ def fusion(shared: int, repeats: int) -> Row:
 def weight_search(shared: int, repeats: int) -> Row:
     """Time finding the weight of an intersection, beside scipy's search over the whole fused covariance."""
     count = max(OWN_LANDMARKS, shared)
-    own_belief = _belief("uav1", list(range(count)), stamp_s=1.0, sigma_m=(0.3, 0.15, 0.3))
-    peer_belief = _belief("uav2", list(range(shared)), stamp_s=1.0, sigma_m=(0.15, 0.3, 0.3))  # along other axes
+    own_belief = _belief("uav1", count, stamp_s=1.0, sigma_m=(0.3, 0.15, 0.3))
+    peer_belief = _belief("uav2", shared, stamp_s=1.0, sigma_m=(0.15, 0.3, 0.3))  # along other axes
     P = own_belief.covariance
     R = peer_belief.covariance[POSE_DIM:, POSE_DIM:]
     own, peer = Split(np.zeros_like(P), P), Split(0.09 * np.eye(len(R)), R)
@@ -204,7 +204,7 @@ def weight_search(shared: int, repeats: int) -> Row:
 
 def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
     """Time making a packet and reading it: checks and decoding."""
-    joint = _belief("uav1", list(range(OWN_LANDMARKS)), stamp_s=10.0)
+    joint = _belief("uav1", OWN_LANDMARKS, stamp_s=10.0)
     policy = dataclasses.replace(policy, max_landmarks=landmarks)
     packet = make_packet(joint, sequence=1, policy=policy)
 
@@ -244,16 +244,16 @@ def _cholesky_name(size: int) -> str:
 
 
 def _belief(
-    vehicle: str, identities: list[int], *, stamp_s: float, sigma_m: tuple[float, float, float] = (0.3, 0.3, 0.3)
+    vehicle: str, count: int, *, stamp_s: float, sigma_m: tuple[float, float, float] = (0.3, 0.3, 0.3)
 ) -> JointInformation:
-    """Return a belief with a common error of pose and landmarks; an identity fixes position and descriptor."""
-    generators = [np.random.default_rng([7, identity]) for identity in identities]
+    """Return a belief with a common error of pose and landmarks; the first ones are the same for all vehicles."""
+    generators = [np.random.default_rng([7, identity]) for identity in range(count)]
     positions = np.array([rng.uniform([-60, -60, -2], [60, 60, 2]) for rng in generators])
     descriptors = np.array([rng.integers(0, 256, 128, np.uint8) for rng in generators])
-    n = POSE_DIM + 3 * len(identities)
+    n = POSE_DIM + 3 * count
     common = np.zeros((n, 3))
     common[:3] = np.diag(sigma_m)
-    common[POSE_DIM:] = np.tile(np.diag(sigma_m), (len(identities), 1))
+    common[POSE_DIM:] = np.tile(np.diag(sigma_m), (count, 1))
     own = np.full(n, 0.1**2)
     own[3:POSE_DIM] = 1e-3**2
     information = np.linalg.inv(common @ common.T + np.diag(own))
@@ -262,7 +262,7 @@ def _belief(
         vehicle=vehicle,
         session=1,
         T_map_body=Pose(np.eye(3), np.array([0.0, 0.0, 70.0])),
-        ids=np.arange(1, len(identities) + 1, dtype=np.uint32),
+        ids=np.arange(1, count + 1, dtype=np.uint32),
         positions=positions,
         information=0.5 * (information + information.T),
         descriptors=descriptors,

@@ -25,7 +25,7 @@ from uav_vslam.studies.engine.own_only import prepare
 from uav_vslam.studies.engine.scores import errors_and_nees
 from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only, with_mistaken_landmarks
 from uav_vslam.studies.engine.write_back import WRITE_BACK, fly_with_write_back
-from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
+from uav_vslam.types import NS_PER_S, LandmarkPacket
 
 Array = NDArray[np.float64]
 
@@ -174,7 +174,7 @@ def _scored(
     error, fused_nees = errors_and_nees(estimate, truth)
     assert estimate.covariance is not None
     sigma = np.sqrt(np.trace(estimate.covariance[:, :3, :3], axis1=1, axis2=2))
-    times_s = _seconds(truth, estimate.stamps_ns)
+    times_s = (estimate.stamps_ns - truth.stamps_ns[0]) / NS_PER_S
     failure = "" if np.isfinite(fused_nees).all() else "covariance not positive definite"
     return Outcome(
         setting.name,
@@ -193,24 +193,8 @@ def _scored(
 
 
 def _failed(scenario: Scenario, setting: Setting, name: str, failure: str) -> Outcome:
-    none = np.zeros(0)
-    return Outcome(
-        setting.name,
-        scenario.seed,
-        name,
-        times_s=none,
-        own_error=none,
-        error=none,
-        own_nees=none,
-        nees=none,
-        sigma=none,
-        correction=np.zeros((0, 3)),
-        failure=failure,
-    )
-
-
-def _seconds(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> Array:
-    return (stamps_ns - truth.stamps_ns[0]) / NS_PER_S
+    none, no_correction = np.zeros(0), np.zeros((0, 3))
+    return Outcome(setting.name, scenario.seed, name, none, none, none, none, none, none, no_correction, failure)
 
 
 def _links(scenario: Scenario, setting: Setting) -> Callable[[str, str], PacketLink]:
@@ -232,15 +216,12 @@ def _restarted(tracks: dict[str, VehicleTrack], restarts: int) -> dict[str, Vehi
     name = sorted(tracks)[1]
     outputs = tracks[name].outputs
     length = len(outputs) // (restarts + 1) + 1
-    changed = [
-        output if output.joint is None else dataclasses.replace(output, joint=_in_session(output.joint, k // length))
-        for k, output in enumerate(outputs)
-    ]
+    changed = list(outputs)
+    for k, output in enumerate(outputs):
+        if output.joint is not None:
+            joint = dataclasses.replace(output.joint, session=output.joint.session + k // length)
+            changed[k] = dataclasses.replace(output, joint=joint)
     return {**tracks, name: dataclasses.replace(tracks[name], outputs=changed)}
-
-
-def _in_session(joint: JointInformation, restarts: int) -> JointInformation:
-    return dataclasses.replace(joint, session=joint.session + restarts)
 
 
 class _PacketMonitor:

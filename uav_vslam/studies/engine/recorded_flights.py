@@ -129,7 +129,6 @@ def features_of(frame: StereoFrame, frontend: Frontend) -> StereoFeatures:
 @contextmanager
 def _opened(recording: Path, vehicle: str | None) -> Iterator[BagFlight]:
     """Open a bag; an ASL folder becomes one for the time being."""
-
     with TemporaryDirectory() as scratch:
         bag = recording
         if (recording / "cam0").is_dir():

@@ -148,7 +148,8 @@ def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme
             failure = failure or f"{type(error).__name__}: {error}"
         if failure:
             break
-    return {name: Track(Trajectory.from_estimates(poses[name][: _shortest(poses)]), failure) for name in names}
+    shortest = min(map(len, poses.values()))
+    return {name: Track(Trajectory.from_estimates(poses[name][:shortest]), failure) for name in names}
 
 
 class _OpenBackend(SlamBackend):
@@ -213,7 +214,3 @@ def _add_information(own: Filter, at: NDArray[np.int64], Y_more: Array, gradient
     g = np.zeros(len(Y))
     g[at] = gradient
     own.correct(InformationBelief(Y, own.vehicle), np.asarray(np.linalg.solve(Y, g), dtype=np.float64))
-
-
-def _shortest(poses: Mapping[str, Sequence[PoseEstimate]]) -> int:
-    return min(len(track) for track in poses.values())

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fusion study's tables: schemes, weights, a shared map, data association, bad radios, large fleets."""
 
-import dataclasses
 from collections.abc import Callable
 
 from uav_vslam.config import FUSION_ASSOCIATIONS, FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, LinkConfig
@@ -55,15 +54,11 @@ def schemes(frames: int) -> list[Part]:
         Setting("split_ci, row, feedback", feedback, out_of_range=ends),
         Setting("overlay, row, feedback", overlay | feedback, out_of_range=ends),
     )
-    flight = Scenario(frames=frames)
+    in_shared_map = Scenario(frames=frames, sigma_map_m=SHARED_MAP_M)
     return [
-        Part("schemes", flight, settings),
-        Part(
-            f"both start in one map that is {SHARED_MAP_M:g} m off",
-            dataclasses.replace(flight, sigma_map_m=SHARED_MAP_M),
-            shared,
-        ),
-        Part("three vehicles, in a ring and in a row", dataclasses.replace(flight, vehicles=3), three),
+        Part("schemes", Scenario(frames=frames), settings),
+        Part(f"both start in one map that is {SHARED_MAP_M:g} m off", in_shared_map, shared),
+        Part("three vehicles, in a ring and in a row", Scenario(frames=frames, vehicles=3), three),
     ]
 
 
@@ -99,7 +94,7 @@ def network() -> list[Part]:
 
 def fleets(frames: int) -> list[Part]:
     """Fleets of growing size."""
-    sizes = [dataclasses.replace(Scenario(frames=frames), vehicles=count) for count in (2, 4, 8)]
+    sizes = [Scenario(frames=frames, vehicles=count) for count in (2, 4, 8)]
     ends = ("uav1", "uav3")
     row = (
         Setting("all in range"),
@@ -109,7 +104,7 @@ def fleets(frames: int) -> list[Part]:
     )
     return [
         *(Part(f"{size.vehicles} vehicles", size, (Setting("split_ci"),)) for size in sizes),
-        Part("three in a row", dataclasses.replace(Scenario(frames=frames), vehicles=3), row),
+        Part("three in a row", Scenario(frames=frames, vehicles=3), row),
     ]
 
 

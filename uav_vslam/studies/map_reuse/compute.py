@@ -116,15 +116,10 @@ def study_rows(
 ) -> list[Row]:
     """Fly all seeds and return the table."""
     rows: list[Row] = []
-    for condition, jobs in (
-        (f"landmark level, 1 px, {imu}", [Job(seed, frames, imu, smoothing=smoothing) for seed in seeds]),
-        (
-            f"rendered images, 480x360, {imu}",
-            [Job(seed, frames, imu, rendered=True, smoothing=smoothing) for seed in rendered],
-        ),
-    ):
+    for level, flown, images in (("landmark level, 1 px", seeds, False), ("rendered images, 480x360", rendered, True)):
+        jobs = [Job(seed, frames, imu, images, smoothing) for seed in flown]
         runs = list(in_pool(run_seed, jobs, workers, on_job))
-        rows += _rows(condition, runs) if runs else []
+        rows += _rows(f"{level}, {imu}", runs) if runs else []
     return rows
 
 
@@ -137,7 +132,8 @@ def run_seed(job: Job) -> list[Flight]:
     config = load_vehicle(find_config("sample")) if job.rendered else exact_config()
     config = dataclasses.replace(config, imu=scenario.imu_config)
     vehicles = simulate_fleet(scenario)
-    sources = _sources(vehicles, rendered=job.rendered)
+    landmarks = None if job.rendered else scatter_landmarks(vehicles)
+    sources = [SimulatedSource(vehicle, landmarks) for vehicle in vehicles]
     mapping = track_vehicle(sources[0], config, keep_map=True, smoothing=job.smoothing)
     assert mapping.saved_map is not None
     assert bool(mapping.smoothed) == job.smoothing, mapping.warnings
@@ -150,11 +146,6 @@ def run_seed(job: Job) -> list[Flight]:
     estimates[ALONE] = {name: track.poses for name, track in tracks.items()}
     errors = MapErrors.of(vehicles[0], mapping)
     return [_flight(vehicle, tracks.get(vehicle.name), estimates, errors) for vehicle in vehicles[1:]]
-
-
-def _sources(vehicles: list[SimulatedVehicle], *, rendered: bool) -> list[SimulatedSource]:
-    field = None if rendered else scatter_landmarks(vehicles)
-    return [SimulatedSource(vehicle, field) for vehicle in vehicles]
 
 
 def _fly(source: SimulatedSource, config: VehicleConfig) -> VehicleTrack | None:

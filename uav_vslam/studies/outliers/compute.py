@@ -12,7 +12,7 @@ from uav_vslam.studies.engine.pool import grouped, ratio
 from uav_vslam.studies.engine.scores import FAILURE_RULE, pooled
 
 SHARES = (0.0, 0.05, 0.1, 0.2)
-KINDS = ("swapped", "lookalike")  # as `LandmarkNoise.wrong_share` and `lookalike_share` make them
+KINDS = {"swapped": "wrong_share", "lookalike": "lookalike_share"}  # what makes them, in `LandmarkNoise`
 CLEAN = "clean"
 ROBUST: dict[str, dict[str, Any]] = {f"backend.robust={on}": {"backend.robust": on} for on in (True, False)}
 
@@ -56,7 +56,6 @@ def outlier_rows(runs: Sequence[Run]) -> list[Row]:
 
 def _conditions() -> dict[str, LandmarkNoise]:
     found = {CLEAN: LandmarkNoise()}
-    for kind in KINDS:
-        key = "wrong_share" if kind == "swapped" else "lookalike_share"
+    for kind, key in KINDS.items():
         found |= {f"{kind} {share}": LandmarkNoise(**{key: share}) for share in SHARES if share > 0}
     return found

@@ -24,7 +24,7 @@ from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.recording import recording_of
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
-from uav_vslam.studies.engine.pool import in_pool, mean, rms
+from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
 from uav_vslam.studies.engine.scores import nees_figures
 from uav_vslam.studies.recordings.ways import PLAIN, WAYS, Made, Plain
 
@@ -120,7 +120,7 @@ def _row(runs: Sequence[Flown], plain: dict[int, Flown]) -> Row:
         "failure": next((run.failure for run in runs if run.failure), ""),
         "processed_share": mean([run.processed / run.frames for run in good]),
         "ate_rms_m": ate,
-        "ratio_to_plain": ate / reference if ate and reference else None,
+        "ratio_to_plain": ratio(ate, reference),
         "ratio_to_plain_least": min(ratios, default=None),
         "ratio_to_plain_most": max(ratios, default=None),
         **nees_figures([(run.seed, run.nees) for run in good]),

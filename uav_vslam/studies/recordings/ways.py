@@ -4,6 +4,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -101,12 +102,9 @@ def _elsewhere(plain: Plain, folder: Path) -> Made:
         recording_of(plain.vehicle, plain.ground), imu=twice_as_fast(plain.vehicle, T_BODY_IMU)
     )
     write_flights(folder / "body", [recording])
-    changes = [edited("/uav1/imu/data_raw", in_imu_frame), edited("/tf_static", _with_edge)]
+    with_edge = partial(with_imu_edge, T_body_imu=T_BODY_IMU)
+    changes = [edited("/uav1/imu/data_raw", in_imu_frame), edited("/tf_static", with_edge)]
     return Made(rewritten(folder / "body", folder / "bag", *changes))
-
-
-def _with_edge(message: Any) -> Any:
-    return with_imu_edge(message, T_body_imu=T_BODY_IMU)
 
 
 def twice_as_fast(vehicle: SimulatedVehicle, T_body_imu: Pose) -> list[ImuSample]:

@@ -9,12 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 
+from uav_vslam.evaluation.scores import error_scores
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import ground_of
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.kept_flights import KeptFlight, height_grid, kept_flights
-from uav_vslam.studies.surface.scoring import Scores, Surface, pose_scores, score
+from uav_vslam.studies.surface.scoring import Scores, Surface, score
 from uav_vslam.studies.surface.sparse import DelaunaySurface, extra_points, landmarks
 from uav_vslam.vision.images import to_grey8
 
@@ -70,7 +71,7 @@ def map_seed(job: Job) -> MappedSeed:
             surfaces[surface.method, kind] = score(surface, ground, flights, poses, truths)
     scored = {
         kind: [
-            pose_scores(Trajectory.from_estimates(flight.poses(kind)), truths[flight.simulated.name])
+            error_scores(Trajectory.from_estimates(flight.poses(kind)), truths[flight.simulated.name])
             for flight in flights
         ]
         for kind in ["s_slam", "smoothed"] + ["c_slam", "anchored"] * fused

@@ -3,14 +3,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from uav_vslam.evaluation.scores import error_scores
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.simulation.terrain import Ground
@@ -73,7 +71,7 @@ def score(
         "height_level_median_m": _median(level),
         "height_level_95_m": _percentile_95(level),
         "standing_median_m": _median(error[known & standing]),
-        "barn_edge_m": _edges_m(surface, ground, x, y, shift),
+        "barn_edge_m": _edges_m(surface, ground, shift),
         "coverage_share": float(np.mean(known[shown])),
         "absolute_median_m": _median(absolute),
         "own_height_median_m": _median(own),
@@ -83,11 +81,6 @@ def score(
         claimed = free & np.isfinite(surface.sigma)
         scores["nees_height"] = float(np.mean((error[claimed] / surface.sigma[claimed]) ** 2))
     return scores
-
-
-def pose_scores(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
-    """Return the errors of poses, without alignment and over 14 m."""
-    return error_scores(estimate, truth, alignment="none")
 
 
 def _own_errors(x: Array, y: Array, poses: Mapping[str, list[PoseEstimate]], truths: Mapping[str, Trajectory]) -> Array:
@@ -120,7 +113,7 @@ def _shown(raster: Raster, x: Array, y: Array, ground: Ground, flights: Sequence
     return shown
 
 
-def _edges_m(surface: Surface, ground: Ground, x: Array, y: Array, shift: Array) -> float | None:
+def _edges_m(surface: Surface, ground: Ground, shift: Array) -> float | None:
     """Return the median distance of the barns' edges in the surface from the true ones [m]; None without barns.
 
     An edge is where a profile across it passes half of the true height of the roof over the ground.
