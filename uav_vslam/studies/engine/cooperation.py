@@ -109,7 +109,7 @@ def run_settings(
     config = dataclasses.replace(config, imu=scenario.imu_config)
     flown = fly_own_only(scenario, config, noise)
     if mistaken_share:
-        flown = with_mistaken_landmarks(flown, mistaken_share, scenario.seed)
+        flown, _ = with_mistaken_landmarks(flown, mistaken_share, scenario.seed)
     outcomes: list[Outcome] = []
     for setting in settings:
         if setting.write_back:

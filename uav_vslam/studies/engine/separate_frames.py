@@ -21,6 +21,7 @@ from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import FLEET, Scenario, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.studies.engine.association_stages import Identities
 from uav_vslam.studies.engine.flights import exact_config, true_trajectory
 from uav_vslam.types import JointInformation, PoseEstimate
 from uav_vslam.vision.matching.nn_ratio import squared_distances
@@ -119,11 +120,14 @@ def with_joints(track: VehicleTrack, change: Callable[[JointInformation], JointI
     return dataclasses.replace(track, outputs=outputs)
 
 
-def with_mistaken_landmarks(flown: OwnOnlyTracks, share: float, seed: int) -> OwnOnlyTracks:
-    """Return the flights with a share of the landmarks that the first two vehicles have in common `mistaken`."""
-    own, peer = (identities(flown, name) for name in sorted(flown.tracks)[:2])
-    shared = [k for k, name in peer.items() if name in set(own.values())]
-    return mistaken(flown, sorted(flown.tracks)[1], share, seed, among=shared)[0]
+def with_mistaken_landmarks(flown: OwnOnlyTracks, share: float, seed: int) -> tuple[OwnOnlyTracks, Identities]:
+    """Return the flights with a share of what the first two vehicles have in common `mistaken`, and the truth."""
+    first, second = sorted(flown.tracks)[:2]
+    own, peer = identities(flown, first), identities(flown, second)
+    known = set(own.values())
+    shared = [k for k, name in peer.items() if name in known]
+    modified, wrong = mistaken(flown, second, share, seed, among=shared)
+    return modified, Identities(own, peer, wrong)
 
 
 def identities(flown: OwnOnlyTracks, vehicle: str) -> dict[int, int]:

@@ -21,6 +21,7 @@ from uav_vslam.studies.engine.association_stages import (
     STAGES,
     UNKNOWN_FRAME,
     Identities,
+    Pairs,
     Score,
     pairs_by_method,
     pairs_by_stage,
@@ -30,16 +31,16 @@ from uav_vslam.studies.engine.separate_frames import (
     OwnOnlyTracks,
     draw_offset,
     fly_own_only,
-    identities,
     in_other_frame,
-    mistaken,
+    with_mistaken_landmarks,
 )
 from uav_vslam.studies.frames.map_baselines import alignment_error, map_to_map, weighted_map_to_map
 from uav_vslam.studies.frames.meetings import Meeting, RecordingFusion, meet
-from uav_vslam.types import NS_PER_S, JointInformation
+from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
 
 Array = NDArray[np.float64]
 Metric = Callable[[Trajectory, Trajectory], float]
+PairsByName = Callable[[JointInformation, LandmarkPacket, FusionConfig], dict[str, Pairs]]
 ByVehicle = dict[str, dict[str, float]]  # figure by track and vehicle
 
 OWN, PEER = "uav1", "uav2"
@@ -100,11 +101,8 @@ def run_seed(scenario: Scenario) -> list[FrameRun]:
 def run_together(flown: OwnOnlyTracks, seed: int, share: float, *, feedback: bool = False) -> FrameRun:
     """Fuse two vehicles, in a common frame and with the peer's map moved at random."""
     T_peer_own, config = draw_offset(seed), FusionConfig(feedback=feedback)
-    own, peer = identities(flown, OWN), identities(flown, PEER)
-    shared = [k for k, name in peer.items() if name in set(own.values())]
-    together, wrong = mistaken(flown, PEER, share, seed, among=shared)
+    together, truth = with_mistaken_landmarks(flown, share, seed)
     moved = in_other_frame(together, PEER, T_peer_own)
-    truth = Identities(own, peer, wrong)
     unknown_config = dataclasses.replace(config, common_origin=False)
     framing, common = ({name: RecordingFusion(name, c) for name in flown.tracks} for c in (unknown_config, config))
     unknown, known = meet(moved, framing), meet(together, common)
@@ -117,8 +115,12 @@ def run_together(flown: OwnOnlyTracks, seed: int, share: float, *, feedback: boo
         errors=_errors(aligned, moved, truth),
         ate_m=_scored_tracks(tracks, _ate),
         pose_nees=_scored_tracks(tracks, _pose_nees),
-        stages=_stages(common[OWN].meetings, framing[OWN].meetings, truth, config),
-        methods=_methods(common[OWN].meetings, truth, config),
+        stages={
+            **dict.fromkeys(STAGES, Score()),
+            **_totals(common[OWN].meetings, pairs_by_stage, truth, config),
+            UNKNOWN_FRAME: sum((score(m.pairs, m.joint, m.packet, truth) for m in framing[OWN].meetings), Score()),
+        },
+        methods=_totals(common[OWN].meetings, pairs_by_method, truth, config),
     )
 
 
@@ -153,22 +155,12 @@ def _first(
     )
 
 
-def _stages(
-    common: Sequence[Meeting], framing: Sequence[Meeting], truth: Identities, config: FusionConfig
+def _totals(
+    meetings: Sequence[Meeting], pairs_by_name: PairsByName, truth: Identities, config: FusionConfig
 ) -> dict[str, Score]:
-    total = dict.fromkeys((*STAGES, UNKNOWN_FRAME), Score())
-    for m in common:
-        for stage, pairs in pairs_by_stage(m.joint, m.packet, config).items():
-            total[stage] += score(pairs, m.joint, m.packet, truth)
-    for m in framing:
-        total[UNKNOWN_FRAME] += score(m.pairs, m.joint, m.packet, truth)
-    return total
-
-
-def _methods(common: Sequence[Meeting], truth: Identities, config: FusionConfig) -> dict[str, Score]:
     total: dict[str, Score] = {}
-    for m in common:
-        for name, pairs in pairs_by_method(m.joint, m.packet, config).items():
+    for m in meetings:
+        for name, pairs in pairs_by_name(m.joint, m.packet, config).items():
             total[name] = total.get(name, Score()) + score(pairs, m.joint, m.packet, truth)
     return total
 
