@@ -209,7 +209,7 @@ def map_rows(found: Sequence[Association]) -> list[Row]:
                 "method": name,
                 "condition": condition,
                 "pairs_per_frame": None if name == INS else score.left / frames,
-                **{key: value for key, value in score.row().items() if key != "pairs"},
+                **score.row(),
                 **{key: figures[key] for key in (*SCORES, "failures", "runs")},
                 "ms_association": median([ms for a in chosen for ms in a.ms]),
                 "ms_per_frame": figures["ms_per_frame"],

@@ -104,15 +104,13 @@ def image_rows(matched: Sequence[MatcherScore]) -> list[Row]:
     rows = []
     for (condition, kind, name), chosen in grouped(matched, lambda j: (j.condition, j.kind, j.matcher)).items():
         score = sum((j.score for j in chosen), Score())
-        figures = score.row()
         rows.append(
             {
                 TABLE: IN_IMAGES,
                 "method": name,
                 "condition": f"{condition}, {kind}",
                 "matches": score.left / len(chosen),
-                "precision": figures["precision"],
-                "recall": figures["recall"],
+                **score.row(),
                 "ms_per_pair": median([j.ms for j in chosen]),
             }
         )

@@ -68,11 +68,7 @@ class Score:
 
     def row(self) -> Row:
         """Return precision and recall."""
-        return {
-            "pairs": self.left,
-            "precision": ratio(self.right, self.left),
-            "recall": ratio(self.found, self.findable),
-        }
+        return {"precision": ratio(self.right, self.left), "recall": ratio(self.found, self.findable)}
 
 
 def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: FusionConfig) -> dict[str, Pairs]:
@@ -127,7 +123,8 @@ def stage_rows(
     for share, by_stage in scores:
         for stage, found in by_stage.items():
             totals[share, stage] = totals.get((share, stage), Score()) + found
-    keys = sorted(totals, key=lambda key: (key[0], order.index(key[1])))
+    ordered = sorted(totals.items(), key=lambda item: (item[0][0], order.index(item[0][1])))
     return [
-        {"method": stage, "condition": mistaken_condition(share), **totals[share, stage].row()} for share, stage in keys
+        {"method": stage, "condition": mistaken_condition(share), "pairs": total.left, **total.row()}
+        for (share, stage), total in ordered
     ]

@@ -18,7 +18,8 @@ from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_f
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.simulation.terrain import Relief, relief_of
 from uav_vslam.studies.engine.extracted_flights import ground_points
-from uav_vslam.studies.engine.flights import Figures, Method, fly_sources
+from uav_vslam.studies.engine.flight_rows import scores_of
+from uav_vslam.studies.engine.flights import Method, Outcome, fly_sources
 from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 from uav_vslam.types import StereoFeatures
@@ -56,7 +57,7 @@ class FrontEndRun:
         frames: number of frames.
         followed: number of features tracked from an earlier frame.
         ms_per_frame: processor time.
-        figures: of the flight by track and vehicle; None if SLAM was not run, or diverged.
+        outcome: of SLAM; None if it was not run.
     """
 
     method: Method
@@ -64,7 +65,7 @@ class FrontEndRun:
     frames: int
     followed: int
     ms_per_frame: float
-    figures: Figures | None
+    outcome: Outcome | None
 
 
 Job = tuple[Method, int]
@@ -121,8 +122,7 @@ def _run_front_end(job: Job) -> FrontEndRun:
         sources.append(SimulatedSource(vehicle, features=tuple(flight)))
     outcome = fly_sources(method, scenario, vehicles, sources) if method.condition in FLOWN else None
     frames = scenario.frames * scenario.vehicles
-    figures = outcome.figures if outcome else None
-    return FrontEndRun(method, np.vstack(errors), frames, followed, 1e3 * busy_s / frames, figures)
+    return FrontEndRun(method, np.vstack(errors), frames, followed, 1e3 * busy_s / frames, outcome)
 
 
 def _row(seen: Sequence[FrontEndRun], everything: Sequence[FrontEndRun]) -> Row:
@@ -148,10 +148,8 @@ def _points_a_frame(seen: Sequence[FrontEndRun]) -> float:
 
 
 def _flight_figures(seen: Sequence[FrontEndRun]) -> Row:
-    flown = [flight.figures for flight in seen if flight.figures]
-    own, fused = (
-        [scores for figures in flown for scores in figures.get(track, {}).values()] for track in ("s_slam", "c_slam")
-    )
+    flown = [flight.outcome for flight in seen if flight.outcome and flight.outcome.figures]
+    own, fused = (scores_of(flown, track) for track in ("s_slam", "c_slam"))
     return {
         **pooled_scores(own),
         "c_slam_nees_position": mean(values_of(fused, "nees_position")),

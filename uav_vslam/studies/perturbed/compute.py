@@ -6,7 +6,6 @@ The world and the cameras are the same in all conditions; only what front end, f
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.studies.engine.flight_rows import nees_series
+from uav_vslam.studies.engine.flight_rows import nees_series, scores_of
 from uav_vslam.studies.engine.flights import Method, Outcome, fly_sources
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, ratio, ratio_interval, rms
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
@@ -141,8 +140,10 @@ def _rows(outcomes: Sequence[Outcome]) -> list[Row]:
 
 def _figures(outcomes: Sequence[Outcome], exact: Sequence[Outcome]) -> Row:
     """Pool the seeds, and compare those that were flown to the end with both calibrations."""
-    scores = {outcome.seed: _scores(outcome) for outcome in outcomes if outcome.figures}
-    before = {outcome.seed: _scores(outcome) for outcome in exact if outcome.figures}
+    scores, before = (
+        {outcome.seed: scores_of([outcome], S_SLAM)[0] for outcome in some if outcome.figures}
+        for some in (outcomes, exact)
+    )
     common = sorted(set(scores) & set(before))
     own, other = (np.array([found[seed]["ate_m"] ** 2 for seed in common]) for found in (before, scores))
     nees = np.array(values_of(list(scores.values()), "nees_position"))
@@ -156,8 +157,3 @@ def _figures(outcomes: Sequence[Outcome], exact: Sequence[Outcome]) -> Row:
         "runs": len(outcomes),
         "ms_per_frame": mean([outcome.ms_per_frame for outcome in outcomes if outcome.figures]),
     }
-
-
-def _scores(outcome: Outcome) -> dict[str, Any]:
-    (scores,) = (outcome.figures or {})[S_SLAM].values()
-    return scores
