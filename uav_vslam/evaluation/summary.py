@@ -64,10 +64,7 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
         "closures": vehicle.closures,
         "ins": error_scores(ins, vehicle.truth, alignment=alignment)
         | claimed_figures(_ins_at_end(vehicle), distance_m),
-        "s_slam": track_scores(vehicle.s_slam, vehicle.truth, alignment=alignment)
-        | claimed_figures(vehicle.s_slam, distance_m),
-        "c_slam": _optional(vehicle.c_slam, vehicle, alignment, distance_m),
-        "smoothed": _optional(vehicle.smoothed, vehicle, alignment, distance_m),
+        **{name: _slam(getattr(vehicle, name), vehicle, alignment, distance_m) for name in TRACKS[1:]},
         "quality": quality_figures(vehicle),
         "clock_offset": dataclasses.asdict(offset) if offset else None,
         "link": dataclasses.asdict(vehicle.link) | {"dropped": dict(sorted(vehicle.link.dropped.items()))},
@@ -88,7 +85,7 @@ def _ins_at_end(vehicle: VehicleResult) -> Trajectory:
     return vehicle.ins.select(vehicle.ins.stamps_ns <= (int(ends_ns[0]) if len(ends_ns) else 0))
 
 
-def _optional(track: Trajectory | None, vehicle: VehicleResult, alignment: str, distance_m: float) -> Figures | None:
+def _slam(track: Trajectory | None, vehicle: VehicleResult, alignment: str, distance_m: float) -> Figures | None:
     if track is None:
         return None
     common = track.select(np.isin(track.stamps_ns, vehicle.s_slam.stamps_ns))

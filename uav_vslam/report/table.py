@@ -59,17 +59,22 @@ def relative_table(summary: Figures) -> Table:
 
 def _rows(summary: Figures, columns: dict[str, str]) -> Table:
     table = new_table(("Vehicle", "Estimate"), columns)
-    rows = dict(summary["vehicles"])
-    if is_scored(summary) and len(rows) > 1:
-        rows["pooled"] = summary["pooled"]
-    for name, tracks in rows.items():
-        present = [track for track in TRACKS if tracks[track] is not None]
-        for track in present:
-            figures = tracks[track]
+    for name, tracks in figures_of(summary).items():
+        for number, (track, figures) in enumerate(tracks.items(), 1):
             cells = [figure_text(figures.get(key)) for key in columns.values()]
-            first, last = track == present[0], track == present[-1]
-            table.add_row(name if first else "", TRACK_NAMES[track], *cells, end_section=last)
+            label = name if number == 1 else ""
+            table.add_row(label, TRACK_NAMES[track], *cells, end_section=number == len(tracks))
     return table
+
+
+def figures_of(summary: Figures) -> dict[str, dict[str, Figures]]:
+    """Return the figures of each vehicle's tracks, and of several vehicles with ground truth also "pooled"."""
+    found = dict(summary["vehicles"])
+    if is_scored(summary) and len(found) > 1:
+        found["pooled"] = summary["pooled"]
+    return {
+        name: {track: tracks[track] for track in TRACKS if tracks[track] is not None} for name, tracks in found.items()
+    }
 
 
 def link_line(name: str, vehicle: Figures, mode: str) -> str:

@@ -4,12 +4,12 @@
 from collections.abc import Sequence
 
 from uav_vslam.evaluation.quality import CONSERVATIVE, CONSISTENT, OVER_CONFIDENT
-from uav_vslam.evaluation.summary import TRACK_NAMES, TRACKS
+from uav_vslam.evaluation.summary import TRACK_NAMES
 from uav_vslam.report.layout import RELATIVE_TITLES, figure_text
 from uav_vslam.report.page.flight import Figures, FlightFiles
 from uav_vslam.report.page.html import Cell, Markup, section, table, tag
 from uav_vslam.report.quality_lines import quality_lines
-from uav_vslam.report.table import CLAIMS, is_scored, link_line, score_titles
+from uav_vslam.report.table import CLAIMS, figures_of, is_scored, link_line, score_titles
 
 VERDICTS = {OVER_CONFIDENT: "bad", CONSERVATIVE: "fair", CONSISTENT: "good"}
 
@@ -79,12 +79,8 @@ def _table(flights: Sequence[FlightFiles], columns: dict[str, str], caption: str
     heads = [*(["Run"] if several else []), "Vehicle", "Estimate", *(title.replace("\n", " ") for title in columns)]
     rows: list[list[Cell]] = []
     for flight in flights:
-        vehicles = dict(flight.summary["vehicles"])
-        if len(vehicles) > 1 and is_scored(flight.summary):
-            vehicles["pooled"] = flight.summary["pooled"]
-        for name, tracks in vehicles.items():
-            for track in (track for track in TRACKS if tracks[track] is not None):
-                figures = [figure_text(tracks[track].get(key)) for key in columns.values()]
-                cells: list[Cell] = [(figure, "number") for figure in figures]
+        for name, tracks in figures_of(flight.summary).items():
+            for track, figures in tracks.items():
+                cells: list[Cell] = [(figure_text(figures.get(key)), "number") for key in columns.values()]
                 rows.append([*([flight.label] if several else []), name, TRACK_NAMES[track], *cells])
     return table(heads, rows, caption=caption)
