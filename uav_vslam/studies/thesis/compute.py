@@ -20,7 +20,6 @@ from uav_vslam.studies.engine.cooperation import Setting
 from uav_vslam.studies.engine.flights import RELIEF_PER_ALTITUDE, true_trajectory, with_backend
 from uav_vslam.studies.engine.fusion_parts import Part
 
-STEPS = 360
 SIGMAS_PX = (6.0, 10.0)
 SIGMA_W = "thesis_half"
 ALTITUDE_M, SPEED, SPACING_M = 20.0, 6.0, 5.0
@@ -34,7 +33,7 @@ NOTES = {
 }
 
 
-def modes(steps: int = STEPS) -> list[Part]:
+def modes(steps: int) -> list[Part]:
     """Return a table for each pixel noise, a line for each communication mode."""
     settings = (
         Setting("wideband", {"feedback": True}),
