@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
+from uav_vslam.evaluation.consistency import Nees
 from uav_vslam.evaluation.scores import ERROR_KEYS, NEES_KEYS
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.flight_rows import flight_rows, fly_all, method_rows, nees_series
-from uav_vslam.studies.engine.flights import TRACKS, Method, NeesCurve, Outcome, with_backend
+from uav_vslam.studies.engine.flights import TRACKS, Method, Outcome, with_backend
 from uav_vslam.studies.engine.score_columns import COLUMN_OF
 
 pytestmark = pytest.mark.slow
@@ -66,17 +67,17 @@ def test_ratio_and_nees_have_their_interval_over_the_seeds():
 
 
 def test_nees_over_time_is_the_mean_of_the_runs_that_lost_no_frame():
-    method, times = Method("ri15", "landmarks", Scenario(frames=3, vehicles=2)), 0.14 * np.arange(3)
+    method, stamps_ns = Method("ri15", "landmarks", Scenario(frames=3, vehicles=2)), 7 + 140_000_000 * np.arange(3)
 
     def outcome(seed: int, *values: float, frames: int = 3) -> Outcome:
-        of_vehicles = [NeesCurve(times[:frames], np.full(frames, v), np.full(frames, 2 * v)) for v in values]
+        of_vehicles = [Nees(stamps_ns[:frames], np.full(frames, v), np.full(frames, 2 * v)) for v in values]
         return Outcome(method, seed, None, 1.0, curves={"s_slam": of_vehicles, "c_slam": of_vehicles[:1]})
 
     own, fused = nees_series([method], [outcome(1, 1.0, 2.0), outcome(2, 3.0, 4.0), outcome(3, 9.0, frames=2)])
     assert own["nees_position"] == [2.5] * 3
     assert own["nees_rotation"] == [5.0] * 3
     assert fused["nees_position"] == [2.0] * 3
-    assert own["time_s"] == pytest.approx(times, abs=1e-3)
+    assert own["time_s"] == pytest.approx([0.0, 0.14, 0.28])
     assert (own["runs"], fused["runs"]) == (4, 2)
 
 

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.evaluation.consistency import Nees
 from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.summary import TRACK_NAMES, TRACKS
-from uav_vslam.studies.engine.flights import Method, NeesCurve, Outcome, run_seed
+from uav_vslam.studies.engine.flights import Method, Outcome, run_seed
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, ratio, ratio_interval, rms
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
+from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
 
@@ -92,14 +94,15 @@ def nees_series(methods: Sequence[Method], outcomes: Sequence[Outcome]) -> list[
     return series
 
 
-def _whole(outcome: Outcome, track: str) -> list[NeesCurve]:
+def _whole(outcome: Outcome, track: str) -> list[Nees]:
     """Return the curves of a track that have every frame."""
-    return [curve for curve in outcome.curves.get(track, ()) if len(curve.time_s) == outcome.method.scenario.frames]
+    return [curve for curve in outcome.curves.get(track, ()) if len(curve.stamps_ns) == outcome.method.scenario.frames]
 
 
-def _mean_curve(curves: Sequence[NeesCurve]) -> dict[str, list[float]]:
+def _mean_curve(curves: Sequence[Nees]) -> dict[str, list[float]]:
+    stamps_ns = curves[0].stamps_ns
     return {
-        "time_s": np.round(curves[0].time_s, 3).tolist(),
+        "time_s": np.round((stamps_ns - stamps_ns[0]) / NS_PER_S, 3).tolist(),
         "nees_position": np.round(np.mean([curve.position for curve in curves], axis=0), 4).tolist(),
         "nees_rotation": np.round(np.mean([curve.rotation for curve in curves], axis=0), 4).tolist(),
     }

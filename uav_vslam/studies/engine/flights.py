@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig, find_config, load_vehicle
 from uav_vslam.errors import UavVslamError
-from uav_vslam.evaluation.consistency import nees
+from uav_vslam.evaluation.consistency import Nees, nees
 from uav_vslam.evaluation.result import VehicleResult
 from uav_vslam.evaluation.summary import TRACKS, build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -25,11 +24,10 @@ from uav_vslam.offline.track import smooth_track
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.types import NS_PER_S, StereoFeatures, StereoFrame
+from uav_vslam.types import StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
 
-Array = NDArray[np.float64]
 Found = TypeVar("Found")
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
 RELIEF_PER_ALTITUDE = 0.03  # as in the default scenario
@@ -57,15 +55,6 @@ class Method:
 
 
 @dataclass(frozen=True, slots=True)
-class NeesCurve:
-    """NEES of one run over 3 at each frame after `time_s` (N,) since the first one [s]."""
-
-    time_s: Array
-    position: Array
-    rotation: Array
-
-
-@dataclass(frozen=True, slots=True)
 class Outcome:
     """One seed of one method.
 
@@ -76,7 +65,7 @@ class Outcome:
         processed: share of the frames.
         ms_front_end: processor time of the front end [ms]; NaN without images.
         ms_smoothing: processor time of smoothing, for a frame of a vehicle [ms]; NaN without.
-        curves: NEES over time by track, one of each vehicle.
+        curves: NEES by track, one of each vehicle.
     """
 
     method: Method
@@ -86,7 +75,7 @@ class Outcome:
     processed: float = 0.0
     ms_front_end: float = float("nan")
     ms_smoothing: float = float("nan")
-    curves: Mapping[str, Sequence[NeesCurve]] = field(default_factory=dict, compare=False)
+    curves: Mapping[str, Sequence[Nees]] = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,21 +136,16 @@ def fly_sources(
     figures = {track: {name: report[track] for name, report in reports.items() if report[track]} for track in TRACKS}
     processed = [report["frames_processed"] / report["frames_in"] for report in reports.values()]
     curves = {
-        track: [curve for vehicle in result.vehicles.values() if (curve := _nees_curve(vehicle, track))]
+        track: [curve for vehicle in result.vehicles.values() if (curve := _nees(vehicle, track))]
         for track in TRACKS[1:]
     }
     return Outcome(method, seed, figures, ms, float(np.mean(processed)), ms_smoothing=ms_smoothing, curves=curves)
 
 
-def _nees_curve(vehicle: VehicleResult, track: str) -> NeesCurve | None:
-    """Return the NEES of a track over time; None without the track."""
+def _nees(vehicle: VehicleResult, track: str) -> Nees | None:
+    """Return the NEES of a track; None without the track."""
     estimate = getattr(vehicle, track)
-    if estimate is None or vehicle.truth is None:
-        return None
-    values = nees(estimate, vehicle.truth)
-    if values is None:
-        return None
-    return NeesCurve((values.stamps_ns - values.stamps_ns[0]) / NS_PER_S, values.position, values.rotation)
+    return None if estimate is None or vehicle.truth is None else nees(estimate, vehicle.truth)
 
 
 def _sources(
