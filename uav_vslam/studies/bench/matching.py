@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.studies.bench.stages import take_turns
+from uav_vslam.studies.bench.stages import row, take_turns
 from uav_vslam.vision.matching import match_descriptors
 from uav_vslam.vision.matching.cds import dominating_points
 from uav_vslam.vision.matching.gtm import same_neighbours
@@ -35,10 +35,4 @@ def graph_matching(keypoints: int, repeats: int) -> Iterator[Row]:
     }
     for method, (condition, work) in works.items():
         ms, ratio = take_turns([work] * repeats, lambda: match_descriptors(descriptors, descriptors, 0.8))
-        yield {
-            "method": method,
-            "condition": condition,
-            "ms_per_frame": ms,
-            "ratio_to_reference": ratio,
-            "reference": "matching their descriptors",
-        }
+        yield row(method, condition, "matching their descriptors", ratio, ms_per_frame=ms)

@@ -24,7 +24,7 @@ from uav_vslam.datasets.importing.euroc import TRUTH_FOLDER, read_euroc
 from uav_vslam.datasets.importing.source import write_source
 from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.scenario import SimulatedVehicle
-from uav_vslam.studies.bench.stages import Work, take_turns
+from uav_vslam.studies.bench.stages import Work, row, take_turns
 from uav_vslam.types import StereoFrame
 
 
@@ -71,14 +71,8 @@ def _import(mav0: Path, out: Path) -> None:
 def _row(method: str, condition: str, bag: Path, frames: int, measured: tuple[float, float], reference: str) -> Row:
     ms, ratio = measured
     (file,) = bag.glob("*.mcap")
-    return {
-        "method": method,
-        "condition": condition,
-        "ms_per_frame": ms / frames,
-        "mb_per_s": file.stat().st_size / 1e3 / ms,
-        "ratio_to_reference": ratio,
-        "reference": reference,
-    }
+    mb_per_s = file.stat().st_size / 1e3 / ms
+    return row(method, condition, reference, ratio, ms_per_frame=ms / frames, mb_per_s=mb_per_s)
 
 
 def _read_by_rosbags(bag: Path, *, decode: bool = True) -> None:

@@ -86,7 +86,7 @@ def stereo_front_end(
     )
     size = f"{vehicle.rig.left.width}x{vehicle.rig.left.height}"
     condition = f"{size}, scale {config.scale:g}"
-    return _row("stereo front end", condition, "OpenCV SIFT, scale 1", ratio, ms_per_frame=ms)
+    return row("stereo front end", condition, "OpenCV SIFT, scale 1", ratio, ms_per_frame=ms)
 
 
 def live_front_end(
@@ -106,7 +106,7 @@ def live_front_end(
     parts_ms = ", ".join(f"{name} {part / count:.1f}" for name, part in parts.items())
     size = f"{vehicle.rig.left.width}x{vehicle.rig.left.height}"
     condition = f"{size}, {count} frames; ms: {parts_ms}"
-    return _row("live front end", condition, "OpenCV SIFT, scale 1", ms / count / reference_ms, ms_per_frame=ms / count)
+    return row("live front end", condition, "OpenCV SIFT, scale 1", ms / count / reference_ms, ms_per_frame=ms / count)
 
 
 class TimedFrontend(TrackingFrontend):
@@ -157,7 +157,7 @@ def preintegration(repeats: int) -> Row:
 
     ms, ratio = take_turns([increment] * repeats, recursion)
     condition = f"{len(samples)} readings"
-    return _row("preintegration", condition, f"{len(samples)} covariance steps 9x9", ratio, ms_per_frame=ms)
+    return row("preintegration", condition, f"{len(samples)} covariance steps 9x9", ratio, ms_per_frame=ms)
 
 
 def fusion(shared: int, repeats: int) -> Row:
@@ -172,7 +172,7 @@ def fusion(shared: int, repeats: int) -> Row:
     ms, ratio = take_turns([lambda: core.fuse(dataclasses.replace(own))] * repeats, _cholesky(size))
     found = core.epoch.common["uav2"] if core.epoch else 0
     condition = f"{count} own landmarks, {shared} shared"
-    return _row("fusion", condition, _cholesky_name(size), ratio, ms_per_packet=ms, landmarks=found)
+    return row("fusion", condition, _cholesky_name(size), ratio, ms_per_packet=ms, landmarks=found)
 
 
 def weight_search(shared: int, repeats: int) -> Row:
@@ -199,7 +199,7 @@ def weight_search(shared: int, repeats: int) -> Row:
 
     ms, ratio = take_turns([ours] * repeats, theirs)
     condition = f"{shared} shared, weight {ours():.3f}, reference's {theirs():.3f}"
-    return _row("weight search", condition, "scipy over the whole", ratio, ms_per_packet=ms)
+    return row("weight search", condition, "scipy over the whole", ratio, ms_per_packet=ms)
 
 
 def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
@@ -219,11 +219,12 @@ def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
     for method, work in (("make packet", encode), ("read packet", decode)):
         ms, ratio = take_turns([work] * repeats, _cholesky(3 * landmarks))
         times = {"ms_per_packet": ms, "us_per_landmark": 1e3 * ms / landmarks}
-        rows.append(_row(method, condition, _cholesky_name(3 * landmarks), ratio, **times))
+        rows.append(row(method, condition, _cholesky_name(3 * landmarks), ratio, **times))
     return rows
 
 
-def _row(method: str, condition: str, reference: str, ratio: float, **figures: float) -> Row:
+def row(method: str, condition: str, reference: str, ratio: float, **figures: float) -> Row:
+    """Return the row of one measurement."""
     return {"method": method, "condition": condition, **figures, "ratio_to_reference": ratio, "reference": reference}
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scores of many runs under the columns of a study: root mean squares of errors, means of NEES."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from uav_vslam.evaluation.scores import ERROR_KEYS, NEES_KEYS
@@ -23,6 +23,6 @@ def pooled_scores(runs: Sequence[dict[str, Any]]) -> Row:
     return errors | {key: mean(values_of(runs, key)) for key in NEES_KEYS}
 
 
-def values_of(runs: Sequence[dict[str, Any]], key: str) -> list[float]:
+def values_of(runs: Sequence[Mapping[str, Any]], key: str) -> list[float]:
     """Return the values of a score, of the runs that have it."""
     return [float(run[key]) for run in runs if run.get(key) is not None]

@@ -11,6 +11,7 @@ from typing import Any
 
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.studies.engine.pool import grouped, mean, ratio, rms
+from uav_vslam.studies.engine.score_columns import values_of
 
 WIDEBAND, NARROWBAND = "wideband", "narrowband"
 MODES = (WIDEBAND, NARROWBAND)
@@ -105,8 +106,7 @@ def _figures(runs: Sequence[Run]) -> Row:
 
 def _found(runs: Sequence[Run], part: str, key: str) -> list[float]:
     """Return a figure of every run that has it."""
-    values = [(run.figures[part] or {}).get(key) for run in runs]
-    return [float(value) for value in values if value is not None]
+    return values_of([run.figures[part] or {} for run in runs], key)
 
 
 def _gain(row: Row) -> float | None:

@@ -63,29 +63,16 @@ def study_rows(
     grades: Sequence[str], seeds: Sequence[int], *, frames: int, workers: int, on_job: Callable[[], None] = lambda: None
 ) -> list[Row]:
     """Fly both parts of the study and return their tables."""
-    flights = {grade: [Scenario(seed=seed, frames=frames, vehicles=1, imu=grade) for seed in seeds] for grade in grades}
     rows: list[Row] = []
-    for grade, scenarios in flights.items():
-        found = list(in_pool(fly_in_flight, scenarios, workers, on_job))
-        rows.append(
-            {
-                TABLE: "no start state",
-                "method": "in-flight initializer",
-                "condition": grade,
-                **_pooled([run for run in found if run], len(seeds)),
-            }
-        )
+    for grade in grades:
+        scenarios = [Scenario(seed=seed, frames=frames, vehicles=1, imu=grade) for seed in seeds]
+        found = [run for run in in_pool(fly_in_flight, scenarios, workers, on_job) if run]
+        labels = {TABLE: "no start state", "method": "in-flight initializer", "condition": grade}
+        rows.append(labels | _pooled(found, len(seeds)))
     for what in WRONGS:
         warned = list(in_pool(fly_wrong, [(what, seed) for seed in seeds], workers, on_job))
-        rows.append(
-            {
-                TABLE: "a start state that is wrong",
-                "method": "start monitor",
-                "condition": what,
-                "warned": sum(warned),
-                "runs": len(warned),
-            }
-        )
+        labels = {TABLE: "a start state that is wrong", "method": "start monitor", "condition": what}
+        rows.append(labels | {"warned": sum(warned), "runs": len(warned)})
     return rows
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.evaluation.summary import TRACK_NAMES
 from uav_vslam.studies.engine.pool import mean, rms
+from uav_vslam.studies.engine.score_columns import values_of
 from uav_vslam.studies.surface.compute import MappedSeed
 
 POSE_KEYS = {
@@ -21,10 +22,7 @@ def surface_rows(found: Sequence[MappedSeed]) -> list[Row]:
     for method, kind in found[0].surfaces:
         scores = [seed.surfaces[method, kind] for seed in found]
         row: Row = {TABLE: "Surfaces", "method": method, "condition": f"{kind} poses", "runs": len(found)}
-        for key in scores[0]:
-            values = [score[key] for score in scores if score[key] is not None]
-            row[key] = mean([float(value) for value in values if value is not None])
-        rows.append(row)
+        rows.append(row | {key: mean(values_of(scores, key)) for key in scores[0]})
     return rows
 
 
@@ -34,8 +32,5 @@ def pose_rows(found: Sequence[MappedSeed]) -> list[Row]:
     for kind in found[0].poses:
         scores = [score for seed in found for score in seed.poses[kind]]
         row: Row = {TABLE: "Poses", "method": TRACK_NAMES.get(kind, kind), "condition": "rendered images"}
-        row |= {
-            key: rms([score[name] for score in scores if score[name] is not None]) for key, name in POSE_KEYS.items()
-        }
-        rows.append(row)
+        rows.append(row | {key: rms(values_of(scores, name)) for key, name in POSE_KEYS.items()})
     return rows
