@@ -9,7 +9,7 @@ import pytest
 from made_up_results import COVARIANCE, FLIGHT, LANDMARKS, VEHICLES, landmarks, write_bare, write_full
 
 from uav_vslam.errors import TrajectoryFileError
-from uav_vslam.evaluation.files.tables import numbers, read_columns
+from uav_vslam.evaluation.files.tables import Columns, read_columns
 from uav_vslam.evaluation.flight_tables import write_landmarks, write_link, write_timing
 from uav_vslam.evaluation.output import write_results
 from uav_vslam.types import NS_PER_S, LinkEpoch
@@ -32,16 +32,16 @@ def test_a_stage_that_did_not_run_has_no_time(tmp_path: Path) -> None:
         start_ns=START_NS,
     )
     table = read_columns(path)
-    np.testing.assert_array_equal(numbers(table["frontend_ms"], path), [10.0, 20.0])
-    np.testing.assert_array_equal(numbers(table["fusion_ms"], path), [np.nan, 500.0])
+    np.testing.assert_array_equal(table.numbers("frontend_ms"), [10.0, 20.0])
+    np.testing.assert_array_equal(table.numbers("fusion_ms"), [np.nan, 500.0])
 
 
 def test_landmarks_keep_place_and_covariance(tmp_path: Path) -> None:
     path = write_landmarks(landmarks(0.0), tmp_path / "landmarks.csv")
     table = read_columns(path)
     assert len(table["id"]) == LANDMARKS
-    np.testing.assert_allclose(numbers(table["x_m"], path), landmarks(0.0).positions[:, 0], atol=1e-4)
-    cells = [numbers(table[f"cov_{pair}"], path) for pair in ("x_x", "x_y", "x_z", "y_y", "y_z", "z_z")]
+    np.testing.assert_allclose(table.numbers("x_m"), landmarks(0.0).positions[:, 0], atol=1e-4)
+    cells = [table.numbers(f"cov_{pair}") for pair in ("x_x", "x_y", "x_z", "y_y", "y_z", "z_z")]
     np.testing.assert_allclose(np.array(cells).T, np.tile(COVARIANCE[np.triu_indices(3)], (LANDMARKS, 1)), rtol=1e-4)
 
 
@@ -73,4 +73,4 @@ def test_damaged_tables_are_named(tmp_path: Path) -> None:
     with pytest.raises(TrajectoryFileError, match=r"link\.csv is no table .*restore or remove"):
         read_columns(path)
     with pytest.raises(TrajectoryFileError, match="could not convert"):
-        numbers(["1", "x"], path)
+        Columns({"a": ["1", "x"]}, path).numbers("a")

@@ -23,6 +23,17 @@ class Columns(dict[str, list[str]]):
     def __missing__(self, title: str) -> list[str]:
         raise TrajectoryFileError(f"{self._path} has no column {title}; restore or remove the file")
 
+    def numbers(self, title: str) -> Array:
+        """Return the (N,) numbers of a column, NaN for an empty cell.
+
+        Raises:
+            TrajectoryFileError: there is no such column, or a cell is no number.
+        """
+        try:
+            return np.array([float(cell) if cell else np.nan for cell in self[title]], dtype=float)
+        except ValueError as error:
+            raise TrajectoryFileError(f"{self._path}: {error}; correct or remove the file") from None
+
 
 def read_columns(path: Path) -> Columns:
     """Return the cells of each column by its title, all of equal length.
@@ -43,15 +54,3 @@ def read_columns(path: Path) -> Columns:
                 f"{path}:{number}: {len(row)} cells, but the title has {len(rows[0])}; was the run interrupted?"
             )
     return Columns({title: [row[k] for row in rows[1:]] for k, title in enumerate(rows[0])}, path)
-
-
-def numbers(cells: list[str], path: Path) -> Array:
-    """Return (N,) numbers, NaN for an empty cell.
-
-    Raises:
-        TrajectoryFileError: a cell is no number.
-    """
-    try:
-        return np.array([float(cell) if cell else np.nan for cell in cells], dtype=float)
-    except ValueError as error:
-        raise TrajectoryFileError(f"{path}: {error}; correct or remove the file") from None

@@ -38,13 +38,11 @@ class VehicleFiles:
         name: of the vehicle.
         tracks: trajectories by name (`output.ALL_TRACKS`).
         tables: cells of the columns of `<vehicle>_<table>.csv`, by `TABLES`; those that are there.
-        folder: of the results.
     """
 
     name: str
     tracks: Tracks
     tables: dict[str, Columns]
-    folder: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +86,7 @@ def read_flight(folder: Path, label: str) -> FlightFiles:
     if not isinstance(vehicles_of, dict) or not all(isinstance(figures, dict) for figures in vehicles_of.values()):
         raise UavVslamError(f"{folder / SUMMARY} lists no vehicles; name the results of a flight, a study or a mosaic")
     tracks = read_results(folder)
-    vehicles = {name: VehicleFiles(name, tracks.get(name, {}), _tables(folder, name), folder) for name in vehicles_of}
+    vehicles = {name: VehicleFiles(name, tracks.get(name, {}), _tables(folder, name)) for name in vehicles_of}
     own_only = [vehicle.tracks["s_slam"] for vehicle in vehicles.values() if "s_slam" in vehicle.tracks]
     start_ns = min((int(track.stamps_ns[0]) for track in own_only), default=0)
     return FlightFiles(label, folder, summary, _config(folder / CONFIG), vehicles, start_ns)

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from uav_vslam.evaluation.files.tables import numbers
+from uav_vslam.evaluation.files.tables import Columns
 from uav_vslam.evaluation.quality import claimed_sigma
 from uav_vslam.report.page.charts import Array, Band, Chart, Line
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
@@ -19,11 +19,11 @@ def innovation_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]
     table = vehicle.tables.get("frames")
     if table is None:
         return []
-    x, value = _seconds(flight, vehicle, "frames"), _column(vehicle, "frames", "nis_per_dof")
+    x, value = _seconds(flight, table), table.numbers("nis_per_dof")
     rows = np.flatnonzero(value > 0)
     if len(rows) == 0:
         return []
-    low, high = (_column(vehicle, "frames", name)[rows] for name in ("band_low", "band_high"))
+    low, high = (table.numbers(name)[rows] for name in ("band_low", "band_high"))
     chart = Chart(
         "NIS / dof",
         (
@@ -40,10 +40,11 @@ def innovation_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]
 
 def point_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the counts of points and landmarks."""
-    if "frames" not in vehicle.tables:
+    table = vehicle.tables.get("frames")
+    if table is None:
         return []
-    x = _seconds(flight, vehicle, "frames")
-    lines = tuple(Line(name, colour, x, _column(vehicle, "frames", name)) for name, colour in POINTS.items())
+    x = _seconds(flight, table)
+    lines = tuple(Line(name, colour, x, table.numbers(name)) for name, colour in POINTS.items())
     return [Chart("Count", lines, from_zero=True)]
 
 
@@ -66,15 +67,15 @@ def sigma_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
 
 def calibration_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the errors of the calibration that were estimated, with their standard deviations."""
-    charts = []
+    charts, table = [], vehicle.tables.get("frames")
     for name, unit, label in (("time_offset", "ms", "Time offset [ms]"), ("disparity_error", "px", "Disparity [px]")):
-        if f"{name}_{unit}" not in vehicle.tables.get("frames", {}):  # older results lack it
+        if table is None or f"{name}_{unit}" not in table:  # older results lack it
             continue
-        x, mean = _seconds(flight, vehicle, "frames"), _column(vehicle, "frames", f"{name}_{unit}")
+        x, mean = _seconds(flight, table), table.numbers(f"{name}_{unit}")
         rows = np.flatnonzero(np.isfinite(mean))
         if len(rows) == 0:
             continue
-        sigma = _column(vehicle, "frames", f"{name}_sigma_{unit}")[rows]
+        sigma = table.numbers(f"{name}_sigma_{unit}")[rows]
         band = Band("±1σ", "band", x[rows], mean[rows] - sigma, mean[rows] + sigma)
         charts.append(Chart(label, (Line("estimate", "track-s_slam", x, mean),), (band,)))
     return charts
@@ -82,14 +83,13 @@ def calibration_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart
 
 def link_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the traffic of each epoch and its sum; none without packets."""
-    if "link" not in vehicle.tables:
+    table = vehicle.tables.get("link")
+    if table is None:
         return []
     start = flight.seconds_of(vehicle.tracks["s_slam"].stamps_ns[:1]) if "s_slam" in vehicle.tracks else np.zeros(0)
-    x = np.append(start, _seconds(flight, vehicle, "link"))  # nothing was sent before the first epoch began
-    sums = {
-        name: np.append(np.zeros(len(start)), _column(vehicle, "link", f"bytes_{name}") / KB)
-        for name in ("sent", "received")
-    }
+    x = np.append(start, _seconds(flight, table))  # nothing was sent before the first epoch began
+    before = np.zeros(len(start))
+    sums = {name: np.append(before, table.numbers(f"bytes_{name}") / KB) for name in ("sent", "received")}
     if not any(total.any() for total in sums.values()):
         return []
     colours = {"sent": "line-0", "received": "line-1"}
@@ -103,26 +103,23 @@ def link_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
 
 def timing_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     """Return the processor time of each stage that was measured."""
-    if "timing" not in vehicle.tables:
+    table = vehicle.tables.get("timing")
+    if table is None:
         return []
-    x, lines = _seconds(flight, vehicle, "timing"), []
+    x, lines = _seconds(flight, table), []
     for k, (stage, label) in enumerate(STAGES.items()):
-        if f"{stage}_ms" not in vehicle.tables["timing"]:
+        if f"{stage}_ms" not in table:
             continue
-        value = _column(vehicle, "timing", f"{stage}_ms")
+        value = table.numbers(f"{stage}_ms")
         rows = np.flatnonzero(np.isfinite(value))
         if len(rows):
             lines.append(Line(label, f"line-{k}", x[rows], value[rows]))
     return [Chart("Time [ms]", tuple(lines), from_zero=True)] if lines else []
 
 
-def _seconds(flight: FlightFiles, vehicle: VehicleFiles, table: str) -> Array:
-    stamps = np.array([int(cell) for cell in vehicle.tables[table]["stamp_ns"]], np.int64)
+def _seconds(flight: FlightFiles, table: Columns) -> Array:
+    stamps = np.array([int(cell) for cell in table["stamp_ns"]], np.int64)
     return np.asarray(flight.seconds_of(stamps), float)
-
-
-def _column(vehicle: VehicleFiles, table: str, name: str) -> Array:
-    return numbers(vehicle.tables[table][name], vehicle.folder / f"{vehicle.name}_{table}.csv")
 
 
 def _coasted(x: Array, flags: list[str]) -> tuple[tuple[float, float], ...]:

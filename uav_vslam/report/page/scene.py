@@ -4,7 +4,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.files.tables import numbers as column
 from uav_vslam.evaluation.flight_tables import COVARIANCE
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.page.charts import Data, numbers, points_of_each, thinned
@@ -62,9 +61,8 @@ def _landmarks(vehicle: VehicleFiles, most: int) -> Data | None:
     table = vehicle.tables.get("landmarks")
     if not table or not table["id"]:
         return None
-    path = vehicle.folder / f"{vehicle.name}_landmarks.csv"
-    positions = np.stack([column(table[name], path) for name in ("x_m", "y_m", "z_m")], axis=1)
-    cells = np.stack([column(table[name], path) for name in COVARIANCE], axis=1)
+    positions = np.stack([table.numbers(name) for name in ("x_m", "y_m", "z_m")], axis=1)
+    cells = np.stack([table.numbers(name) for name in COVARIANCE], axis=1)
     whole = np.isfinite(positions).all(axis=1) & np.isfinite(cells).all(axis=1)
     positions, cells = positions[whole], cells[whole]
     if len(positions) == 0:
