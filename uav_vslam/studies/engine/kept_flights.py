@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from uav_vslam.config import find_config, load_vehicle
 from uav_vslam.fleet import CooperativeTrack
 from uav_vslam.mapping.anchoring import anchored
 from uav_vslam.mapping.flight_views import flight_views
@@ -18,7 +19,7 @@ from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.simulation.terrain import Ground
-from uav_vslam.studies.engine.flights import kagaru_configs, true_trajectory
+from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.types import PoseEstimate, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 
@@ -73,7 +74,7 @@ def kept_flights(scenario: Scenario, ground: Ground) -> list[KeptFlight]:
     Raises:
         UavVslamError: the filter diverged.
     """
-    config = dataclasses.replace(kagaru_configs({"": {}})[""], imu=scenario.imu_config)
+    config = dataclasses.replace(load_vehicle(find_config("kagaru")), imu=scenario.imu_config)
     vehicles = simulate_fleet(scenario)
     frames = {vehicle.name: tuple(RenderedFlight(vehicle, ground)) for vehicle in vehicles}
     sources: list[FlightSource] = []
