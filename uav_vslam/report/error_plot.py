@@ -22,18 +22,18 @@ LOWEST, HIGHEST = 0.5, 0.9  # of the bands' order: below the grid
 
 def error_plot(result: FlightResult) -> Figure | None:
     """Return the errors of each SLAM track per axis, a column per vehicle; None without ground truth."""
-    vehicles = [vehicle for vehicle in result.vehicles.values() if _scored(vehicle)]
+    vehicles = {vehicle.name: found for vehicle in result.vehicles.values() if (found := _scored(vehicle))}
     if not vehicles:
         return None
     figure = Figure(figsize=(1.5 + 6.0 * len(vehicles), 7.5), layout="constrained")
     grid = figure.subplots(3, len(vehicles), sharex="col", sharey="row", squeeze=False)
-    for column, vehicle in enumerate(vehicles):
-        start_ns = int(vehicle.s_slam.stamps_ns[0])
-        for name, (track, truth) in _scored(vehicle).items():
+    for column, (vehicle, pairs) in zip(grid.T, vehicles.items(), strict=True):
+        start_ns = int(result.vehicles[vehicle].s_slam.stamps_ns[0])
+        for name, (track, truth) in pairs.items():
             seconds = np.asarray((track.stamps_ns - start_ns) * 1e-9, float)
-            _draw(grid[:, column], seconds, track.positions - truth.positions, track.covariance, name)
-        grid[0, column].set_title(vehicle.name)
-        grid[-1, column].set_xlabel("Time [s]")
+            _draw(column, seconds, track.positions - truth.positions, track.covariance, name)
+        column[0].set_title(vehicle)
+        column[-1].set_xlabel("Time [s]")
     for row, axis in enumerate(axes_of(result.config)):
         grid[row, 0].set_ylabel(f"{axis} error [m]")
     figure.suptitle(f"{result.name}: position errors and their {SIGMAS:.0f}-sigma bands")
@@ -66,8 +66,8 @@ def _draw(column: NDArray[Any], seconds: Array, error: Array, covariance: Array 
             axes.plot(seconds, side, color=style.colour, linewidth=0.7, linestyle=":", zorder=style.order)
 
 
-def _legend(vehicles: list[VehicleResult]) -> list[Any]:
-    present = {name for vehicle in vehicles for name in _scored(vehicle)}
+def _legend(vehicles: dict[str, dict[str, Any]]) -> list[Any]:
+    present = {name for pairs in vehicles.values() for name in pairs}
     handles: list[Any] = []
     for name in BAND_COLOURS:
         if name in present:

@@ -51,13 +51,10 @@ def _columns(flight: FlightFiles, *, several: bool) -> Iterator[tuple[str, dict[
         name.strip("/*"): flat(tree.get(PARAMETERS, tree) if isinstance(tree, dict) else tree)
         for name, tree in flight.config.items()
     }
-    same = len({tuple(tree.items()) for tree in trees.values()}) == 1
+    if len({tuple(tree.items()) for tree in trees.values()}) == 1:
+        trees = {", ".join(trees): next(iter(trees.values()))}
     for name, tree in trees.items():
-        if same:
-            name = ", ".join(trees)
         yield (f"{flight.label}: {name}" if several else name), tree
-        if same:
-            return
 
 
 def _differences(columns: dict[str, dict[str, str]]) -> Markup | None:
