@@ -16,7 +16,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     from uav_vslam.studies.orthomosaic.plot import draw_orthomosaic
 
     jobs = [Job(seed, args.frames, args.m_per_px) for seed in seeds]
-    found = list(in_pool(measured, jobs, args.workers, progress(len(jobs))))
+    found = [one for of_seed in in_pool(measured, jobs, args.workers, progress(len(jobs))) for one in of_seed]
     return Findings(mosaic_rows(found), NOTES, mosaic_series(found), draw_orthomosaic)
 
 

@@ -144,9 +144,9 @@ def _to_level(view: View, ground: Ground) -> Array:
     return np.asarray(np.linalg.inv(view.camera.K @ from_map))
 
 
-def mosaic_rows(found: Sequence[Sequence[Measured]]) -> list[Row]:
+def mosaic_rows(found: Sequence[Measured]) -> list[Row]:
     """Return a row for each method, over all seeds."""
-    groups = grouped((one for seed in found for one in seed), lambda one: (one.method, one.condition))
+    groups = grouped(found, lambda one: (one.method, one.condition))
     return [_row(method, condition, runs) for (method, condition), runs in groups.items()]
 
 
@@ -171,10 +171,10 @@ def _row(method: str, condition: str, runs: Sequence[Measured]) -> Row:
     return {key: value for key, value in row.items() if value is not None}
 
 
-def mosaic_series(found: Sequence[Sequence[Measured]]) -> list[Row]:
+def mosaic_series(found: Sequence[Measured]) -> list[Row]:
     """Return each picture's errors over the distance from its start, those of one seed after the other."""
     series = []
-    for one in sorted((one for seed in found for one in seed), key=lambda one: (one.method, one.seed)):
+    for one in sorted(found, key=lambda one: (one.method, one.seed)):
         if one.errors is not None and one.errors.any_found:
             from_start = np.linalg.norm(one.errors.points - one.errors.points[0], axis=1)
             length = np.linalg.norm(one.errors.errors, axis=1)

@@ -66,9 +66,9 @@ def map_seed(job: Job) -> MappedSeed:
     truths = {flight.simulated.name: true_trajectory(flight.simulated) for flight in flights}
     surfaces = {}
     for kind in ["smoothed"] + ["anchored"] * fused:
-        poses = {flight.simulated.name: flight.poses(kind) for flight in flights}
+        estimates = {flight.simulated.name: Trajectory.from_estimates(flight.poses(kind)) for flight in flights}
         for surface in surfaces_of(flights, kind, job.cell_m):
-            surfaces[surface.method, kind] = score(surface, ground, flights, poses, truths)
+            surfaces[surface.method, kind] = score(surface, ground, flights, estimates, truths)
     scored = {
         kind: [
             error_scores(Trajectory.from_estimates(flight.poses(kind)), truths[flight.simulated.name])

@@ -13,7 +13,6 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.simulation.terrain import Ground
 from uav_vslam.studies.engine.kept_flights import KeptFlight
-from uav_vslam.types import PoseEstimate
 
 Array = NDArray[np.float64]
 Scores = dict[str, float | None]
@@ -48,12 +47,12 @@ def score(
     surface: Surface,
     ground: Ground,
     flights: Sequence[KeptFlight],
-    poses: Mapping[str, list[PoseEstimate]],
+    estimates: Mapping[str, Trajectory],
     truths: Mapping[str, Trajectory],
 ) -> Scores:
-    """Return the figures of one surface."""
+    """Return the figures of one surface; `estimates` and `truths` are the poses of each vehicle, with equal stamps."""
     x, y = np.meshgrid(surface.raster.x, surface.raster.y)
-    shift = _own_errors(x, y, poses, truths)
+    shift = _own_errors(x, y, estimates, truths)
     true_x, true_y = x + shift[..., 0], y + shift[..., 1]
     truth, labels = ground.height(true_x, true_y), ground.labels(true_x, true_y)
     error = surface.height - (truth - shift[..., 2])
@@ -62,7 +61,7 @@ def score(
     reach = round(APART_M / surface.raster.cell_m)
     free = known & ~binary_dilation(standing, iterations=reach)
     absolute = (surface.height - ground.height(x, y))[free]
-    own = np.concatenate([_height_errors(poses[name], truth) for name, truth in truths.items()])
+    own = np.concatenate([estimates[name].positions[:, 2] - true.positions[:, 2] for name, true in truths.items()])
     open_error = error[free]
     level = open_error - np.median(open_error)
     scores: Scores = {
@@ -83,19 +82,12 @@ def score(
     return scores
 
 
-def _own_errors(x: Array, y: Array, poses: Mapping[str, list[PoseEstimate]], truths: Mapping[str, Trajectory]) -> Array:
+def _own_errors(x: Array, y: Array, estimates: Mapping[str, Trajectory], truths: Mapping[str, Trajectory]) -> Array:
     """Return (..., 3) truth minus estimate of the pose nearest in plan [m]."""
-    estimates, errors = [], []
-    for name, truth in truths.items():
-        estimate = Trajectory.from_estimates(poses[name])
-        estimates.append(estimate.positions[:, :2])
-        errors.append(truth.positions - estimate.positions)
-    _, nearest = cKDTree(np.vstack(estimates)).query(np.stack([x, y], axis=-1))
-    return np.asarray(np.vstack(errors)[nearest])
-
-
-def _height_errors(poses: Sequence[PoseEstimate], truth: Trajectory) -> Array:
-    return np.asarray(Trajectory.from_estimates(poses).positions[:, 2] - truth.positions[:, 2])
+    places = np.vstack([estimates[name].positions[:, :2] for name in truths])
+    errors = np.vstack([truth.positions - estimates[name].positions for name, truth in truths.items()])
+    _, nearest = cKDTree(places).query(np.stack([x, y], axis=-1))
+    return np.asarray(errors[nearest])
 
 
 def _shown(raster: Raster, x: Array, y: Array, ground: Ground, flights: Sequence[KeptFlight]) -> NDArray[np.bool_]:
