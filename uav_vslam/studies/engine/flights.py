@@ -16,7 +16,6 @@ from uav_vslam.evaluation.result import VehicleResult
 from uav_vslam.evaluation.summary import TRACKS, build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
-from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.offline.flight import fly
 from uav_vslam.offline.result import flight_result
 from uav_vslam.offline.source import FlightSource
@@ -83,13 +82,13 @@ class FeatureCache:
     """Features found by front ends, so that images are rendered and searched only once.
 
     Attributes:
-        searched: keypoints of the whole fleet, by images and front end; they don't depend on the rig's uncertainty.
+        searched: keypoints of a vehicle, by its name, images and front end; they don't depend on the rig's uncertainty.
         followed: tracked points of a vehicle, by its name, images, front end and rig uncertainty.
 
     Beside each is the processor time of a frame [ms].
     """
 
-    searched: dict[tuple[Scenario, FrontendConfig], list[tuple[tuple[DetectedPair, ...], float]]] = field(
+    searched: dict[tuple[str, Scenario, FrontendConfig], tuple[tuple[DetectedPair, ...], float]] = field(
         default_factory=dict
     )
     followed: dict[tuple[str, Scenario, FrontendConfig, RigConfig], tuple[tuple[StereoFeatures, ...], float]] = field(
@@ -156,19 +155,9 @@ def _sources(
         landmarks = scatter_landmarks(vehicles)
         return [SimulatedSource(vehicle, landmarks) for vehicle in vehicles], float("nan")
     images = dataclasses.replace(scenario, imu="adis16480")  # the images don't depend on the inertial unit
-    if method.config.frontend.method != "sift":
-        followed = [_followed(vehicle, images, method.config, cache) for vehicle in vehicles]
-        return [source for source, _ in followed], float(np.mean([ms for _, ms in followed]))
-    key = (images, method.config.frontend)
-    if key not in cache.searched:
-        cache.searched[key] = [_searched(SimulatedSource(vehicle), method.config) for vehicle in vehicles]
-    started = time.process_time()
-    sources: list[FlightSource] = [
-        SimulatedSource(vehicle, features=_matched(vehicle.rig, pairs, method.config))
-        for vehicle, (pairs, _) in zip(vehicles, cache.searched[key], strict=True)
-    ]
-    matching = _ms_since(started, scenario.frames * scenario.vehicles)
-    return sources, matching + float(np.mean([ms for _, ms in cache.searched[key]]))
+    extract = _matched if method.config.frontend.method == "sift" else _followed
+    found = [extract(vehicle, images, method.config, cache) for vehicle in vehicles]
+    return [source for source, _ in found], float(np.mean([ms for _, ms in found]))
 
 
 def _ms_since(started: float, frames: int) -> float:
@@ -187,8 +176,18 @@ def _followed(
     return SimulatedSource(vehicle, features=features), ms
 
 
-def _searched(source: SimulatedSource, config: VehicleConfig) -> tuple[tuple[DetectedPair, ...], float]:
-    return _timed(StereoFrontend(source.rig, config.frontend, config.rig).detect, source)
+def _matched(
+    vehicle: SimulatedVehicle, images: Scenario, config: VehicleConfig, cache: FeatureCache
+) -> tuple[SimulatedSource, float]:
+    """Match the detected keypoints; unlike detection, this depends on the rig's uncertainty."""
+    frontend = StereoFrontend(vehicle.rig, config.frontend, config.rig)
+    key = (vehicle.name, images, config.frontend)
+    if key not in cache.searched:
+        cache.searched[key] = _timed(frontend.detect, SimulatedSource(vehicle))
+    pairs, ms = cache.searched[key]
+    started = time.process_time()
+    features = tuple(map(frontend.match, pairs))
+    return SimulatedSource(vehicle, features=features), ms + _ms_since(started, len(pairs))
 
 
 def _timed(process: Callable[[StereoFrame], Found], source: SimulatedSource) -> tuple[tuple[Found, ...], float]:
@@ -201,12 +200,6 @@ def _timed(process: Callable[[StereoFrame], Found], source: SimulatedSource) -> 
         found.append(process(frame))
         busy_s += time.process_time() - started
     return tuple(found), 1e3 * busy_s / max(len(found), 1)
-
-
-def _matched(rig: StereoRig, pairs: Sequence[DetectedPair], config: VehicleConfig) -> tuple[StereoFeatures, ...]:
-    """Match the detected keypoints; unlike detection, this depends on the rig's uncertainty."""
-    frontend = StereoFrontend(rig, config.frontend, config.rig)
-    return tuple(frontend.match(pair) for pair in pairs)
 
 
 def true_trajectory(vehicle: SimulatedVehicle) -> Trajectory:
