@@ -256,11 +256,18 @@ def test_without_its_landmarks_a_copy_with_tracks_knows_the_same_of_the_vehicle(
     np.testing.assert_allclose(other.nav.v_map, one.nav.v_map, atol=1e-9)
 
 
-def flown_at_wrong_velocity(course, error: Array, name: str = "eif") -> tuple[Filter, Tracks]:
-    """Return a filter over two frames with that velocity's error [m/s] and twice its variance, and their tracks."""
+def flown_at_wrong_velocity(
+    course, error: Array, name: str = "eif", *, share: float = 1.0, tilt_rad: float | None = None
+) -> tuple[Filter, Tracks]:
+    """Return a filter over two frames with a share of that velocity's error [m/s], and their tracks.
+
+    It has twice the variance of the whole error, and that of the tilt.
+    """
     state, P = course.initial.state, course.initial.covariance.copy()
     P[3:6, 3:6] = 2.0 * np.mean(error**2) * np.eye(3)
-    start = NavEstimate(dataclasses.replace(state, v_map=state.v_map - error), P)
+    if tilt_rad is not None:
+        P[6:8, 6:8] = tilt_rad**2 * np.eye(2)
+    start = NavEstimate(dataclasses.replace(state, v_map=state.v_map - share * error), P)
     f = FILTERS[name](start, rig=course.rig, imu=course.imu, track_sigma_px=SIGMA_PX)
     f.keep_pose()
     f.predict(course.increments[0])
@@ -283,6 +290,19 @@ def test_tracks_that_move_the_estimate_far_are_linearised_where_they_lead(course
     assert np.linalg.norm(moved.t - truly.t) < 0.01
     seen_from = other.nav.T_map_body.inverse().apply(other.landmarks)
     np.testing.assert_allclose(seen_from, last.inverse().apply(course.landmarks[3:]), atol=0.1)  # 1 sigma: 0.4 m
+
+
+@pytest.mark.parametrize("name", ["eif", "ekf", "ukf"])
+def test_their_points_turn_with_the_vehicle_as_those_of_tracks_that_move_nothing(course, name: str) -> None:
+    """A landmark that turned by another arm would tell the tilt: here 33 m of 76 if its errors were not transported."""
+    turning: list[Array] = []
+    for share in (1.0, 0.0):
+        f, tracks = flown_at_wrong_velocity(course, np.array([10.0, -6.0, 4.0]), name, share=share, tilt_rad=0.05)
+        other, _, _ = f.with_tracks(tracks, probability=0.99, become_landmarks=np.ones(len(tracks), bool))
+        P, m = other.covariance(), other.vehicle
+        turning.append(P[m:, 6:8] / np.diagonal(P)[6:8])
+    np.testing.assert_allclose(turning[0], turning[1], atol=0.5)
+    assert np.abs(turning[1]).max() > 70.0
 
 
 @pytest.mark.parametrize(("wrong", "refused"), [(2, 2), (6, 9)])

@@ -9,7 +9,8 @@ leave larger residuals is shortened. About the filter's own mean the gate is so 
 view is none: so tracks that do not fit where they all lead are refused there.
 
 Symbols: with the mean moved by delta, the error becomes e' = T (e - delta), and a residual r' = H' e' + noise is
-r' + H' T delta = H' T e + noise.
+r' + H' T delta = H' T e + noise. A point that becomes a landmark is at the filter's mean where its error about the
+other one, for e = 0, puts it; its error is transported with it, or a common rotation would move it in the images.
 """
 
 import dataclasses
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from uav_vslam.estimation.belief import Indices, VehicleObservation
 from uav_vslam.estimation.track_consensus import WIDE
 from uav_vslam.estimation.tracks import TrackObservation
+from uav_vslam.ins.propagation import ROTATION
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,10 +41,13 @@ class Move:
     Attributes:
         delta: (vehicle,) correction.
         T: (vehicle, vehicle) see above.
+        back: moves (K, 3) points [m] by (K, 3) errors about the other mean to where they are at the filter's, and
+            returns them with what transports their errors from there, (K, 3, 3) of `Chart.transport`.
     """
 
     delta: Array
     T: Array
+    back: Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +95,10 @@ class LinearisedTracks:
         if self.move is None:
             return chosen.points, H, chosen.R
         H = H @ self.move.T
-        return chosen.points + np.linalg.solve(chosen.R, (H @ self.move.delta)[..., None])[..., 0], H, chosen.R
+        errors = np.linalg.solve(chosen.R, (H @ self.move.delta)[..., None])[..., 0]
+        points, B = self.move.back(chosen.points, np.asarray(errors))
+        H[..., ROTATION] -= chosen.R @ B
+        return points, H, chosen.R
 
 
 def fitting(

@@ -144,12 +144,16 @@ class BiasStepMonitor:
 
 
 def correction(nav: NavEstimate, unaided: NavEstimate) -> float:
-    """Return the squared correction of velocity, attitude and biases over its covariance, which is P_unaided - P."""
+    """Return the squared correction of velocity, attitude and biases over its covariance, which is P_unaided - P.
+
+    Where P has grown instead, as the velocity's along the flight does when the disparity is no longer trusted, the mean
+    may have moved by as much.
+    """
     none = np.zeros((0, 3))
     d = difference(unaided.state, none, nav.state, none)[COMPARED] / NEGLIGIBLE
     P = (unaided.covariance - nav.covariance)[COMPARED, COMPARED] / np.outer(NEGLIGIBLE, NEGLIGIBLE)
     values, axes = np.linalg.eigh(P)
-    return float(np.sum((axes.T @ d) ** 2 / (np.maximum(values, 0.0) + 1.0)))
+    return float(np.sum((axes.T @ d) ** 2 / (np.abs(values) + 1.0)))
 
 
 def _replayed(
