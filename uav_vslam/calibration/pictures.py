@@ -77,9 +77,9 @@ class BagPictures:
         pairer: StereoPairer[RawMessage] = StereoPairer()
         number = 0
         for raw in iter_raw(self.paths, self.topics):
-            add = pairer.add_left if raw.topic == self.topics[0] else pairer.add_right
+            side = "left" if raw.topic == self.topics[0] else "right"
             try:
-                pair = add(header_stamp_ns(raw.data), raw)
+                pair = pairer.add(side, header_stamp_ns(raw.data), raw)
             except BagError as error:
                 yield f"{raw.stamp_ns * 1e-9:.3f}", error, error
                 continue

@@ -170,8 +170,8 @@ class BagFlight:
             if raw.topic == imu_topic:
                 yield mounting.to_body(imu_of(built))
                 continue
-            add = pairer.add_left if raw.topic == self.left_topic else pairer.add_right
-            pair = add(stamp_ns_of(built), built)
+            side = "left" if raw.topic == self.left_topic else "right"
+            pair = pairer.add(side, stamp_ns_of(built), built)
             if pair is not None:
                 stamp_ns = pair.stamp_ns + self.time_offset_ns
                 yield StereoFrame(stamp_ns, _pixels_or_empty(pair.left), _pixels_or_empty(pair.right))

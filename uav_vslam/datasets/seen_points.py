@@ -119,8 +119,7 @@ def recorded_pairs(flight: BagFlight, unread: Unread) -> Iterator[StereoPair[Raw
     """Yield the image pairs undecoded, with the stamps of `BagFlight.iter_events`; see `readable`."""
     pairer: StereoPairer[RawMessage] = StereoPairer(tolerance_ns=round(flight.input.pair_tolerance_s * NS_PER_S))
     for stamp_ns, raw in readable(flight, [flight.left_topic, flight.right_topic], unread):
-        add = pairer.add_left if raw.topic == flight.left_topic else pairer.add_right
-        pair = add(stamp_ns, raw)
+        pair = pairer.add("left" if raw.topic == flight.left_topic else "right", stamp_ns, raw)
         if pair is not None:
             yield StereoPair(pair.stamp_ns + flight.time_offset_ns, pair.left, pair.right)
 

@@ -6,6 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.stamps import RUN_LENGTH
 
 T = TypeVar("T")
@@ -73,10 +74,8 @@ class StereoPairer(Generic[T]):
         """
         self._tolerance = PairTolerance(tolerance_ns)
         self.offset_ns = 0
-        self._left: deque[tuple[int, T]] = deque()
-        self._right: deque[tuple[int, T]] = deque()
-        self._newest = {"left": -1, "right": -1}
-        self._late = dict.fromkeys(self._newest, 0)
+        self._waiting: dict[str, deque[tuple[int, T]]] = {side: deque() for side in SIDES}
+        self._newest, self._late = dict.fromkeys(SIDES, -1), dict.fromkeys(SIDES, 0)
         self.dropped = 0
 
     @property
@@ -84,29 +83,19 @@ class StereoPairer(Generic[T]):
         """Largest difference between the stamps of a pair, after the images so far [ns]."""
         return self._tolerance.ns
 
-    def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
-        """Add a left image; return the completed pair, if any."""
-        if not self._is_next("left", stamp_ns):
+    def add(self, side: str, stamp_ns: int, item: T) -> StereoPair[T] | None:
+        """Add an image of the "left" or "right" camera; return the completed pair, if any."""
+        if not self._is_next(side, stamp_ns):
             return None
-        partner = self._take_partner(self._right, stamp_ns)
+        own, other = self._waiting[side], self._waiting["right" if side == "left" else "left"]
+        partner = self._take_partner(other, stamp_ns)
         if partner is None:
-            self._wait(self._left, stamp_ns, item)
+            self._wait(own, stamp_ns, item)
             return None
-        self._drop(self._left, len(self._left))
-        self.offset_ns = partner[0] - stamp_ns
-        return StereoPair(stamp_ns, item, partner[1])
-
-    def add_right(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
-        """Add a right image; return the completed pair, if any."""
-        if not self._is_next("right", stamp_ns):
-            return None
-        partner = self._take_partner(self._left, stamp_ns)
-        if partner is None:
-            self._wait(self._right, stamp_ns, item)
-            return None
-        self._drop(self._right, len(self._right))
-        self.offset_ns = stamp_ns - partner[0]
-        return StereoPair(partner[0], partner[1], item)
+        self._drop(own, len(own))
+        left, right = ((stamp_ns, item), partner) if side == "left" else (partner, (stamp_ns, item))
+        self.offset_ns = right[0] - left[0]
+        return StereoPair(left[0], left[1], right[1])
 
     def _is_next(self, side: str, stamp_ns: int) -> bool:
         behind_ns = self._newest[side] - stamp_ns

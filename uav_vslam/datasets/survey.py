@@ -263,9 +263,8 @@ class _Reader:
     def _add_image(self, side: str, raw: RawMessage) -> None:
         number = len(self._checksums[side])
         self._checksums[side].append(zlib.crc32(memoryview(raw.data)[HEADER_BYTES:]))
-        add = self._pairer.add_left if side == "left" else self._pairer.add_right
         frozen = number > 0 and self._checksums[side][-1] == self._checksums[side][-2]
-        pair = add(header_stamp_ns(raw.data), None if frozen else raw)
+        pair = self._pairer.add(side, header_stamp_ns(raw.data), None if frozen else raw)
         if pair is not None:
             self._add_pair(raw.topic, pair)
         if number % max(1, self.found.topics[raw.topic].count // SAMPLES) == 0:  # last: it may be refused

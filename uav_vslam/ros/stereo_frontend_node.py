@@ -19,8 +19,9 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.messages import stamp_ns_of
-from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.datasets.stereo_sync import StereoPairer
 from uav_vslam.errors import InvalidMessage
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import features_to_msg, image_from_msg
@@ -36,7 +37,6 @@ from uav_vslam.vision.frontends import make_frontend
 from uav_vslam_msgs.msg import StereoFeatures
 
 Pixels = NDArray[Any]
-AddImage = Callable[[int, Pixels], StereoPair[Pixels] | None]
 
 MAX_WAITING = 10  # pairs held until the calibration is known
 MAX_ALONE = 10  # unpaired images in a row, after which one camera counts as silent
@@ -60,8 +60,8 @@ class StereoFrontendNode(VehicleNode):
         self._publisher = self.advertise(StereoFeatures, "stereo_features", RESUMABLE)
         self._candidates: dict[str, dict[type, Callable[[], Input]]] = {}  # by camera: opens each of its topics
         self._choices: dict[str, dict[type, Input]] = {}  # by camera: its open topics, one once it is selected
-        for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
-            topic, on_image = getattr(given.topics, side), partial(self._on_image, side, add)
+        for side in SIDES:
+            topic, on_image = getattr(given.topics, side), partial(self._on_image, side)
             self._candidates[side] = {
                 kind: partial(self.listen, kind, name, on_image, IMAGE, instead_of=topic)
                 for kind, name in image_topics(self, topic).items()
@@ -90,12 +90,12 @@ class StereoFrontendNode(VehicleNode):
         self._rig.restart()
         self._alarm({})
 
-    def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
+    def _on_image(self, side: str, message: Image | CompressedImage) -> None:
         if not self._uses(side, type(message)):
             return  # the same image once more
         if side == "left":
             self._image_frame = message.header.frame_id
-        pair = add(stamp_ns_of(message), self._pixels(side, message))
+        pair = self._pairer.add(side, stamp_ns_of(message), self._pixels(side, message))
         self.counts[f"{DROPPED}unpaired"] = self._pairer.dropped
         if pair is None:
             self._alone += 1
