@@ -120,13 +120,10 @@ class Orthomosaic:
         considered = self._considered
         self._considered += 1
         drawn = rectify(view, self.surface, self.m_per_px, sharpness=sharpness, align=ALIGN, margin=MARGIN)
-        thumb = thumbnail(view, self.surface, self.m_per_px)
-        if drawn is None or thumb is None:
+        correction = None if drawn is None else self._correction(considered, view)
+        if drawn is None or correction is None:
             return
-        self._prepare(drawn.image.shape[-1])
-        correction = self._correction(considered, thumb, view.vehicle)
-        drawn = replace(drawn, image=correction.applied(drawn.image, drawn.radius2))
-        self._merge(drawn)
+        self._merge(replace(drawn, image=correction.applied(drawn.image, drawn.radius2)))
         self.views.append(AddedView(view.vehicle, view.stamp_ns, correction))
 
     def picture(self, raster: Raster | None = None) -> Picture:
@@ -169,19 +166,18 @@ class Orthomosaic:
     def _channels(self) -> int:
         return self.tiles.channels
 
-    def _prepare(self, channels: int) -> None:
-        if self._tiles is None:
-            self._tiles = MosaicTiles(self.m_per_px, channels, self._folder, kept_bytes=self._kept_bytes)
-        if channels != self._tiles.channels:
-            raise UavVslamError("the mosaic has views in grey and in colour; convert them to one kind")
-
-    def _correction(self, considered: int, thumb: Rectified, camera: str) -> Correction:
+    def _correction(self, considered: int, view: View) -> Correction | None:
+        """Return the correction of a view's brightness; None if it shows too little for one."""
         if self._known_exposure is not None:
             return self._known_exposure.correction(considered)
-        return self._exposure.add(thumb, camera)
+        thumb = thumbnail(view, self.surface, self.m_per_px)
+        return None if thumb is None else self._exposure.add(thumb, view.vehicle)
 
     def _merge(self, drawn: Rectified) -> None:
         """Merge a drawn and corrected view into the tiles under it."""
+        if self._tiles is None:
+            channels = drawn.image.shape[-1]
+            self._tiles = MosaicTiles(self.m_per_px, channels, self._folder, kept_bytes=self._kept_bytes)
         bands = take_apart(drawn.image, drawn.score)
         for raster in drawn.raster.tiles(SIDE):
             common = raster.intersection(drawn.raster)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.orthomosaic.pyramid import LEVELS, Bands, at_level
-from uav_vslam.mapping.tile_store import KEPT_BYTES, SIDE, TileStore
+from uav_vslam.mapping.tile_store import SIDE, TileStore
 
 Real = NDArray[np.float32]
 Labels = NDArray[np.int32]
@@ -90,9 +90,7 @@ class Tile:
 class MosaicTiles(TileStore[Tile]):
     """Tiles of a picture."""
 
-    def __init__(
-        self, m_per_px: float, channels: int, folder: Path | None = None, *, kept_bytes: int = KEPT_BYTES
-    ) -> None:
+    def __init__(self, m_per_px: float, channels: int, folder: Path | None, *, kept_bytes: int) -> None:
         """Prepare an empty store.
 
         Args:
