@@ -58,7 +58,9 @@ def rotations_by_truth(truth: TruthTrack, stamps_ns: Stamps, gyro: Array) -> Rat
     starts, ends, rows_start, rows_end = (one[near] for one in (starts, ends, rows[:-1], rows[1:]))
     seconds = (ends - starts) / NS_PER_S
     rates = rates_of_rotations(truth.R_world_body[rows_start], truth.R_world_body[rows_end], seconds)
-    return _pairs(stamps_ns, gyro, (starts, ends), rates, sigma=_sigma(seconds), source="the truth")
+    return RatePairs(
+        rates, _sigma(seconds), "the truth", lambda late_ns: mean_rates(stamps_ns - late_ns, gyro, starts, ends)
+    )
 
 
 def rotations_by_cameras(steps: list[Step], rig: StereoRig, stamps_ns: Stamps, gyro: Array) -> RatePairs:
@@ -76,16 +78,7 @@ def rotations_by_cameras(steps: list[Step], rig: StereoRig, stamps_ns: Stamps, g
     R_body_start_end = R_body_left @ R_left_start_end @ R_body_left.T
     rates = rates_of_rotations(np.broadcast_to(np.eye(3), R_body_start_end.shape), R_body_start_end, seconds)
     sigma = float(np.median([one.motion.sigma_rotation for one in steps] / seconds))
-    return _pairs(stamps_ns, gyro, (starts, ends), rates, sigma=sigma, source=CAMERAS)
-
-
-def _pairs(
-    stamps_ns: Stamps, gyro: Array, between: tuple[Stamps, Stamps], rates: Array, *, sigma: float, source: str
-) -> RatePairs:
-    def if_late(late_ns: int) -> Array:
-        return mean_rates(stamps_ns - late_ns, gyro, *between)
-
-    return RatePairs(if_late(0), rates, sigma, source, if_late)
+    return RatePairs(rates, sigma, CAMERAS, lambda late_ns: mean_rates(stamps_ns - late_ns, gyro, starts, ends))
 
 
 def up_of_truth(truth: TruthTrack, stamps_ns: Stamps, gravity: float) -> Array:

@@ -22,7 +22,7 @@ from uav_vslam.inspection.finding import Finding, Severity, count, error, ok, wa
 from uav_vslam.inspection.imu import check_imu, readings_in_body
 from uav_vslam.inspection.imu_noise import NoiseLevels, recommended
 from uav_vslam.inspection.motion import check_attitude, check_scale, is_absurd, scale_of_truth
-from uav_vslam.inspection.rotation import CAMERAS, agrees
+from uav_vslam.inspection.rotation import cameras_agree
 from uav_vslam.inspection.stereo_stamps import OffsetHistogram
 from uav_vslam.vision.tracking.frontend import MAX_GAP_S as TRACKED_GAP_S
 
@@ -69,7 +69,7 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     no_attitude = check_attitude(survey.truth, readings)
     truth = None if no_attitude or is_absurd(survey.truth, scale) else survey.truth  # by which others are judged
     imu_findings, found.noise = check_imu(replace(survey, truth=truth), readings, rig, looked, config)
-    found.findings += imu_findings + _check_clocks(survey, gyro_agrees=agrees(imu_findings, CAMERAS))
+    found.findings += imu_findings + _check_clocks(survey, gyro_agrees=cameras_agree(imu_findings))
     images_ns = _stamps(survey, "left") + survey.setup.time_offset_ns
     found.findings += start.check_start(survey.initial, images_ns, readings, config, truth)
     if config.start.method == "given" and not survey.initial and readings:

@@ -39,21 +39,19 @@ class RatePairs:
     """Mean angular rates of the body over the same intervals [rad/s].
 
     Attributes:
-        gyro: (K, 3) of the gyroscope.
         reference: (K, 3) of the reference.
         sigma: standard deviation of the reference, per axis.
         source: the reference, in words.
         gyro_if_late: returns the (K, 3) rates of the gyroscope [rad/s], NaN where not covered, if its stamps are late
-            by so many ns; None if unknown.
+            by so many ns.
         offset_ns: what is added to the stamps of the reference already [ns].
         recorded_late_ms: by how much the IMU's stamps are late by the recorder's clock; 0 if by little [ms].
     """
 
-    gyro: Array
     reference: Array
     sigma: float
     source: str
-    gyro_if_late: Callable[[int], Array] | None = None
+    gyro_if_late: Callable[[int], Array]
     offset_ns: int = 0
     recorded_late_ms: int = 0
 
@@ -85,8 +83,9 @@ def rates_of_rotations(R_reference_start: Array, R_reference_end: Array, seconds
 
 def check_rotation(pairs: RatePairs) -> list[Finding]:
     """Check scale and axes of the gyroscope."""
-    good = _covered(pairs.gyro, pairs.reference)
-    gyro, reference = (_centred(one[good]) for one in (pairs.gyro, pairs.reference))
+    gyro = pairs.gyro_if_late(0)
+    good = _covered(gyro, pairs.reference)
+    gyro, reference = (_centred(one[good]) for one in (gyro, pairs.reference))
     subject = f"{SUBJECT} {pairs.source}"
     turned = _rms(reference)
     if good.sum() < MIN_INTERVALS and pairs.recorded_late_ms:
@@ -116,9 +115,9 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     return [error(subject, seen, ALLOWED, remedy)]
 
 
-def agrees(findings: Iterable[Finding], source: str) -> bool:
-    """Return whether `check_rotation` has judged the gyroscope against a source, and found no fault."""
-    judged = (one for one in findings if one.subject == f"{SUBJECT} {source}" and not one.seen.startswith(NOT_JUDGED))
+def cameras_agree(findings: Iterable[Finding]) -> bool:
+    """Return whether `check_rotation` has judged the gyroscope against the cameras, and found no fault."""
+    judged = (one for one in findings if one.subject == f"{SUBJECT} {CAMERAS}" and not one.seen.startswith(NOT_JUDGED))
     return any(one.severity is Severity.OK for one in judged)
 
 
@@ -169,9 +168,7 @@ def _late_remedy(pairs: RatePairs, late_ms: int) -> str:
 
 def _lateness(pairs: RatePairs) -> tuple[int, float]:
     """Return the lateness that fits best [ms] and the misfit left; 0 and infinity if none can be judged."""
-    if pairs.gyro_if_late is None:
-        return 0, math.inf
-    enough = max(MIN_INTERVALS, COVERED_SHARE * int(_covered(pairs.gyro, pairs.reference).sum()))
+    enough = max(MIN_INTERVALS, COVERED_SHARE * int(_covered(pairs.gyro_if_late(0), pairs.reference).sum()))
     found = [
         (_misfit_of(pairs.gyro_if_late(late_ms * 1_000_000), pairs.reference, enough), abs(late_ms), late_ms)
         for late_ms in {*LATE_MS, *(pairs.recorded_late_ms + ms for ms in LATE_MS)}
