@@ -21,13 +21,14 @@ RNG = np.random.default_rng(1)
 IMAGE = RNG.integers(0, 255, (*RASTER.shape, 3)).astype(np.uint8)
 DATUM = Datum(-28.2325, 153.0012, 820.0)
 TURNED = Datum(47.4, 8.5, 400.0, yaw_deg=25.0)
+ALL = np.ones(RASTER.shape, bool)
 SPOT = (150, 40)  # row from the south, column
 
 
 @pytest.mark.parametrize("datum", [DATUM, TURNED], ids=["north up", "turned"])
 @pytest.mark.parametrize("height_m", [0.0, 12.0])
 def test_a_pixel_of_a_geotiff_is_where_the_datum_puts_it(tmp_path: Path, datum: Datum, height_m: float) -> None:
-    path = write_picture(tmp_path / "orthomosaic", IMAGE, RASTER, datum)
+    path = write_picture(tmp_path / "orthomosaic", IMAGE, RASTER, datum, seen=ALL)
     row, column = SPOT
     found = place(path, RASTER.rows - 1 - row, column)
     lon, lat, _ = to_geodetic(np.array([[RASTER.x[column], RASTER.y[row], height_m]]), datum)[0]
@@ -42,7 +43,8 @@ def test_five_kilometres_away_only_the_height_above_the_datum_counts(
     tmp_path: Path, height_m: float, off_m: float
 ) -> None:
     far = Raster(0.5, -7100, 7000, 64, 64)
-    path = write_picture(tmp_path / "far", np.zeros((*far.shape, 3), np.uint8), far, TURNED)
+    black, seen = np.zeros((*far.shape, 3), np.uint8), np.ones(far.shape, bool)
+    path = write_picture(tmp_path / "far", black, far, TURNED, seen=seen)
     lon, lat, _ = to_geodetic(np.array([[far.x[20], far.y[20], height_m]]), TURNED)[0]
     found = place(path, far.rows - 1 - 20, 20)
     _, _, distance_m = pyproj.Geod(ellps="WGS84").inv(lon, lat, *found)
@@ -51,7 +53,7 @@ def test_five_kilometres_away_only_the_height_above_the_datum_counts(
 
 def test_without_a_datum_a_world_file_places_the_picture(tmp_path: Path) -> None:
     seen = IMAGE[..., 0] > 30
-    path = write_picture(tmp_path / "orthomosaic", IMAGE, RASTER, seen=seen)
+    path = write_picture(tmp_path / "orthomosaic", IMAGE, RASTER, None, seen=seen)
     a, d, b, e, c, f = map(float, path.with_suffix(".pgw").read_text().split())
     row, column = SPOT
     from_top = RASTER.rows - 1 - row
@@ -84,7 +86,8 @@ def test_overviews_of_every_second_pixel_follow_the_whole_picture_down_to_one_ti
     raster = Raster(0.5, 0, 0, 1200, 300)
     image = RNG.integers(0, 255, (*raster.shape, 3)).astype(np.uint8)
     write_bands(tmp_path / "height.tif", {"height": image[..., 0], "count": image[..., 1]}, raster, DATUM)
-    for path in (write_picture(tmp_path / "picture", image, raster, DATUM), tmp_path / "height.tif"):
+    picture = write_picture(tmp_path / "picture", image, raster, DATUM, seen=np.ones(raster.shape, bool))
+    for path in (picture, tmp_path / "height.tif"):
         with tifffile.TiffFile(path) as file:
             assert [page.is_reduced for page in file.pages] == [False, True, True, True]
             assert [(page.imagelength, page.imagewidth) for page in file.pages][1:] == [
@@ -126,4 +129,4 @@ def test_grey_pictures_have_one_band_and_opacity(tmp_path: Path) -> None:
 def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:
     for datum in (DATUM, None):
         with pytest.raises(UavVslamError, match="can't be written"):
-            write_picture(tmp_path / "none" / "picture", IMAGE, RASTER, datum)
+            write_picture(tmp_path / "none" / "picture", IMAGE, RASTER, datum, seen=ALL)

@@ -68,7 +68,7 @@ def write_picture_and_model(
             mosaic = blended_mosaic(views, surface, pixel_m, folder=Path(tiles), on_view=advance)
             found = seams(mosaic, counted(views(), advance)).figures()
         written = write_orthomosaic(mosaic, folder, datum)
-        model = write_model(surface, mosaic, folder, views=views, cell_m=grid.cell_m)
+        model = write_model(surface, mosaic, folder, views=views(), cell_m=grid.cell_m)
         shares = mosaic.shares()
     finite = {name: value for name, value in found.items() if np.isfinite(value)}
     picture = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}

@@ -42,12 +42,7 @@ OVERVIEW = 1  # type of a reduced page
 
 
 def write_picture(
-    path: Path,
-    image: NDArray[np.uint8],
-    raster: Raster,
-    datum: Datum | None = None,
-    *,
-    seen: NDArray[np.bool_] | None = None,
+    path: Path, image: NDArray[np.uint8], raster: Raster, datum: Datum | None, *, seen: NDArray[np.bool_]
 ) -> Path:
     """Write a picture and where it lies: a GeoTIFF with a datum, else PNG with a world file (.pgw).
 
@@ -65,16 +60,16 @@ def write_picture(
         UavVslamError: the picture can't be written.
     """
     channels = [image] if image.ndim == 2 else [image[..., k] for k in range(3)]
-    opaque: NDArray[np.uint8] | int = 255 if seen is None else seen.view(np.uint8) * np.uint8(255)
+    opaque = seen.view(np.uint8) * np.uint8(255)
     if datum is not None:
         path = path.with_suffix(".tif")
         kind = "minisblack" if image.ndim == 2 else "rgb"
-        stack = _north_first([*channels[::-1], opaque], raster.shape)
+        stack = _north_first([*channels[::-1], opaque])
         _write_tiff(path, stack, _tags(raster, datum), photometric=kind)
         return path
     path = path.with_suffix(".png")
     bgr = channels * 3 if image.ndim == 2 else channels
-    if not cv2.imwrite(str(path), _north_first([*bgr, opaque], raster.shape)):
+    if not cv2.imwrite(str(path), _north_first([*bgr, opaque])):
         raise UavVslamError(f"picture {path} can't be written; is the folder there, and the disk not full?")
     path.with_suffix(".pgw").write_text(world_file(raster), encoding="ascii")
     return path
@@ -162,9 +157,9 @@ def scale_at(datum: Datum) -> float:
     return float(1.0 + datum.altitude_m / radius_m)
 
 
-def _north_first(channels: Sequence[NDArray[np.uint8] | int], shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return (rows, columns, channels) of arrays with south first, or of one value each, without a further copy."""
-    stack = np.empty((*shape, len(channels)), np.uint8)
+def _north_first(channels: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Return (rows, columns, channels) of arrays with south first, without a further copy."""
+    stack = np.empty((*channels[0].shape, len(channels)), np.uint8)
     for k, channel in enumerate(channels):
         stack[::-1, :, k] = channel
     return stack

@@ -8,7 +8,7 @@ point near them, to which GLB's nodes move them; of PLY, which has none, it is s
 """
 
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,6 @@ from uav_vslam.mapping.view import View
 
 Array = NDArray[np.float64]
 
-CELL_M = 0.5
 HIDDEN_M = 6.0  # width of hidden ground that still belongs to the model
 LARGEST_GLB_BYTES = 3_000_000
 TEXTURE_SHARE = 0.68  # of these
@@ -41,12 +40,7 @@ Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.
 
 
 def write_model(
-    surface: Heights,
-    mosaic: Orthomosaic,
-    folder: Path,
-    *,
-    views: Callable[[], Iterable[View]] = list,
-    cell_m: float = CELL_M,
+    surface: Heights, mosaic: Orthomosaic, folder: Path, *, views: Iterable[View], cell_m: float
 ) -> dict[str, Any]:
     """Write `model.glb` and `model.ply`.
 
@@ -54,7 +48,7 @@ def write_model(
         surface: heights in the map frame.
         mosaic: of the same ground.
         folder: to write to.
-        views: yields the views again, for the colours of walls; by default these get a shade of what is above them.
+        views: for the colours of walls; without any, these are a shade of what is above them.
         cell_m: side of a cell of the mesh [m].
 
     Returns:
@@ -74,7 +68,7 @@ def write_model(
     colour = _closed(picture)
     coarse = simplified(mesh, TRIANGLES)
     walls = coarse.part(coarse.steep)
-    shades = wall_colours(walls, _inside(walls, colour, picture.raster, cell_m), views(), heights, raster)
+    shades = wall_colours(walls, _inside(walls, colour, picture.raster, cell_m), views, heights, raster)
     origin, glb = _origin(picture.raster), folder / "model.glb"
     scene = _scene(coarse.part(~coarse.steep), colour, picture.raster, walls, shades, origin)
     _write(glb, scene.export(file_type="glb"))
@@ -100,15 +94,10 @@ def _write(path: Path, content: Any) -> None:
 
 def _shown(picture: Picture, raster: Raster) -> NDArray[np.bool_]:
     """Return (rows, columns) which cells the picture shows, or hides behind what stands among them."""
-    row, column = (np.clip(np.rint(k).astype(int), 0, None) for k in picture.raster.index(_centres(raster)))
-    rows, columns = picture.seen.shape
-    seen = picture.seen[np.minimum(row, rows - 1), np.minimum(column, columns - 1)].astype(np.uint8)
+    centres = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
+    seen = _looked_up(picture.seen, picture.raster, centres).astype(np.uint8)
     side = 2 * round(0.5 * HIDDEN_M / raster.cell_m) + 1
     return cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)) > 0
-
-
-def _centres(raster: Raster) -> Array:
-    return np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
 
 
 def _closed(picture: Picture) -> NDArray[np.uint8]:
@@ -123,9 +112,10 @@ def _inside(walls: Mesh, colour: NDArray[np.uint8], raster: Raster, cell_m: floa
     return _looked_up(colour, raster, centres)
 
 
-def _looked_up(colour: NDArray[np.uint8], raster: Raster, points: Array) -> Array:
+def _looked_up(values: NDArray[np.generic], raster: Raster, points: Array) -> Array:
+    """Return the values of the cells that are nearest to points."""
     row, column = (np.rint(k).astype(int) for k in raster.index(points))
-    found = colour[np.clip(row, 0, raster.rows - 1), np.clip(column, 0, raster.columns - 1)]
+    found = values[np.clip(row, 0, raster.rows - 1), np.clip(column, 0, raster.columns - 1)]
     return np.asarray(found, dtype=float)
 
 
