@@ -170,18 +170,19 @@ def _demosaiced(pixels: NDArray[Any], encoding: str) -> NDArray[Any]:
 
 
 def decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """Return an encoded image's pixels, or None. OpenCV raises for empty data and for sizes beyond its limits."""
-    try:
-        return cv2.imdecode(data, AS_THE_SENSOR_LAY | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-    except cv2.error:
-        return None
+    """Return an encoded image's pixels, or None."""
+    return _decoded(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
 
 
 def halved(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     """Return an encoded image's pixels, or None; grey and at half size, as that is the fastest that reads it all."""
+    return _decoded(data, cv2.IMREAD_REDUCED_GRAYSCALE_2)
+
+
+def _decoded(data: NDArray[np.uint8], flags: int) -> NDArray[Any] | None:
     try:
-        return cv2.imdecode(data, AS_THE_SENSOR_LAY | cv2.IMREAD_REDUCED_GRAYSCALE_2)
-    except cv2.error:
+        return cv2.imdecode(data, AS_THE_SENSOR_LAY | flags)
+    except cv2.error:  # empty data, or a size beyond OpenCV's limits
         return None
 
 
@@ -259,7 +260,11 @@ def truth_of(built: Any) -> TruthSample:
         InvalidMessage: the quaternion is zero, or the pose is not finite.
     """
     try:
-        T_world_body = _true_pose(built)
+        if hasattr(built, "transform"):
+            T_world_body = _pose(built.transform.rotation, built.transform.translation)
+        else:
+            pose = getattr(built.pose, "pose", built.pose)  # with covariance or without
+            T_world_body = _pose(pose.orientation, pose.position)
     except ValueError as error:
         raise InvalidMessage("orientation", str(error)) from None
     if not (np.isfinite(T_world_body.t).all() and np.isfinite(T_world_body.R).all()):
@@ -271,12 +276,6 @@ def truth_of(built: Any) -> TruthSample:
     return TruthSample(stamp_ns_of(built), T_world_body, T_world_body.R @ _array(twist.linear), _array(twist.angular))
 
 
-def _true_pose(built: Any) -> Pose:
-    if hasattr(built, "transform"):
-        return _pose_of_transform(built.transform)
-    return _pose_of(getattr(built.pose, "pose", built.pose))  # with covariance or without
-
-
 def navigation_state_of(built: Any) -> NavEstimate:
     """Return the estimate of a NavigationState message.
 
@@ -284,7 +283,7 @@ def navigation_state_of(built: Any) -> NavEstimate:
         InvalidMessage: the quaternion is zero, a number is not finite, or the covariance is not symmetric.
     """
     try:
-        pose = _pose_of(built.pose)
+        pose = _pose(built.pose.orientation, built.pose.position)
     except ValueError as error:
         raise InvalidMessage("orientation", str(error)) from None
     parts = [pose.t, *(_array(vector) for vector in (built.velocity, built.gyro_bias, built.accel_bias))]
@@ -313,7 +312,7 @@ def transforms_of(built: Any) -> tuple[list[tuple[str, str, Pose]], list[str]]:
     for stamped in built.transforms:
         parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
         try:
-            pose = _pose_of_transform(stamped.transform)
+            pose = _pose(stamped.transform.rotation, stamped.transform.translation)
             if not np.isfinite(pose.matrix).all():
                 raise ValueError("the transform holds NaN or infinity")
             edges.append((parent, child, pose))
@@ -322,14 +321,8 @@ def transforms_of(built: Any) -> tuple[list[tuple[str, str, Pose]], list[str]]:
     return edges, faults
 
 
-def _pose_of(built: Any) -> Pose:
-    q = built.orientation
-    return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(built.position))
-
-
-def _pose_of_transform(built: Any) -> Pose:
-    q = built.rotation
-    return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(built.translation))
+def _pose(q: Any, position: Any) -> Pose:
+    return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(position))
 
 
 def _array(vector: Any) -> Array:
