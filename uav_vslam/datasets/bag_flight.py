@@ -23,14 +23,13 @@ from uav_vslam.datasets.messages import (
     truth_of,
 )
 from uav_vslam.datasets.rosbag import iter_raw, iter_readable, names_of
-from uav_vslam.datasets.stereo_sync import LATE_NS, PairTolerance, StereoPairer
+from uav_vslam.datasets.stereo_sync import LATE_NS, PairTolerance, StereoPairer, nearest_offsets_ns
 from uav_vslam.datasets.truth_track import TruthSeries, TruthTrack
 from uav_vslam.datasets.united_imu import united
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.mounting import ImuMounting
-from uav_vslam.search import nearest
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 TRIED_IMAGES = 100  # of which one must be readable
@@ -99,10 +98,7 @@ class BagFlight:
             first: only of so many images; None for all.
         """
         left, right = (self._stamps_ns(topic, first) for topic in (self.left_topic, self.right_topic))
-        if len(right) == 0:
-            return np.zeros(0, np.int64)
-        right = np.sort(right)  # messages may be recorded out of order
-        return np.asarray(abs(right[nearest(left, right)] - left))
+        return np.abs(nearest_offsets_ns(left, right))
 
     def pair_tolerance_ns(self, first: int) -> int:
         """Return the largest difference between the stamps of a pair [ns], after the first so many left images."""
@@ -144,15 +140,12 @@ class BagFlight:
 
     def _stamped_images(self, topic: str) -> Iterator[tuple[int, RawMessage]]:
         """Yield images with the stamps of their headers [ns]; those too short for one are left out."""
-        for raw in self._images(topic):
+        for raw in iter_readable(self.paths, [topic]):
             try:
                 stamp_ns = header_stamp_ns(raw.data)
             except BagError:
                 continue
             yield stamp_ns, raw
-
-    def _images(self, topic: str) -> Iterator[RawMessage]:
-        return iter_readable(self.paths, [topic])
 
     def _recorded_events(self) -> Iterator[ImuSample | StereoFrame]:
         imu_topic = self.input.topic(self.vehicle, "imu")
@@ -200,7 +193,7 @@ class BagFlight:
     def _first_pixels(self, topic: str) -> NDArray[Any]:
         """Return the first image that can be decoded: a camera's first exposure may fail, as any later one may."""
         refused = ""
-        for raw in itertools.islice(self._images(topic), TRIED_IMAGES):
+        for raw in itertools.islice(iter_readable(self.paths, [topic]), TRIED_IMAGES):
             try:
                 return image_of(decode(raw))
             except BagError as error:

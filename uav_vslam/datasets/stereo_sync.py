@@ -6,7 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from uav_vslam.geometry.stereo import SIDES
+from uav_vslam.search import nearest
 from uav_vslam.stamps import RUN_LENGTH
 
 T = TypeVar("T")
@@ -17,6 +21,14 @@ WAITING = 10  # images of one camera; then the oldest is dropped
 LATE_NS = 2_000_000_000  # an older image is no late one, but of another clock
 NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
 PERIODS = 3, 20  # how many determine the frame period: at least, and of the last so many
+
+
+def nearest_offsets_ns(left_ns: NDArray[np.int64], right_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (N,) the nearest right stamp minus each of (N,) left ones, in any order; empty without right ones [ns]."""
+    right_ns = np.unique(right_ns)
+    if len(right_ns) == 0:
+        return np.zeros(0, np.int64)
+    return np.asarray(right_ns[nearest(left_ns, right_ns)] - left_ns)
 
 
 @dataclass(frozen=True, slots=True)

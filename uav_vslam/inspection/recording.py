@@ -163,7 +163,7 @@ def _judge_stamps(survey: Survey, config: VehicleConfig, found: Inspection) -> N
         found.findings += timing.check_image_rate(timing.NAMES[side], stamps, tracked_gap_s=tracked_gap_s)
     found.findings += timing.check_imu_rate(imu)
     found.findings += timing.check_coverage(imu, left + survey.setup.time_offset_ns)
-    found.offsets = stereo_stamps.histogram(stereo_stamps.offsets_ns(left, right))
+    found.offsets = stereo_stamps.histogram(left, right)
     tolerance_s = survey.input.pair_tolerance_s
     found.findings += stereo_stamps.check_pairs(left, right, survey.pair_count, tolerance_s=tolerance_s)
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.stereo_sync import NOTABLE_OFFSET_NS, PairTolerance
+from uav_vslam.datasets.stereo_sync import NOTABLE_OFFSET_NS, PairTolerance, nearest_offsets_ns
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
-from uav_vslam.search import nearest
 from uav_vslam.types import NS_PER_S
 
 Stamps = NDArray[np.int64]
@@ -34,16 +33,9 @@ class OffsetHistogram:
     spread_s: float
 
 
-def offsets_ns(left_ns: Stamps, right_ns: Stamps) -> Stamps:
-    """Return (N,) the nearest right stamp minus each of (N,) left ones; empty without right ones [ns]."""
-    right_ns = np.unique(right_ns)
-    if len(right_ns) == 0:
-        return np.zeros(0, np.int64)
-    return np.asarray(right_ns[nearest(left_ns, right_ns)] - left_ns)
-
-
-def histogram(offsets: Stamps) -> OffsetHistogram | None:
-    """Return the histogram of (N,) offsets [ns], None of none."""
+def histogram(left_ns: Stamps, right_ns: Stamps) -> OffsetHistogram | None:
+    """Return the histogram for (N,) left and (M,) right stamps [ns]; None without any of either."""
+    offsets = nearest_offsets_ns(left_ns, right_ns)
     if len(offsets) == 0:
         return None
     seconds = offsets / NS_PER_S
@@ -60,8 +52,8 @@ def check_pairs(left_ns: Stamps, right_ns: Stamps, pair_count: int, *, tolerance
         pair_count: pairs that the graph makes of them.
         tolerance_s: the setting `input.pair_tolerance_s`; 0 for the default.
     """
-    shape = histogram(offsets_ns(left_ns, right_ns))
-    if shape is None or len(left_ns) == 0:
+    shape = histogram(left_ns, right_ns)
+    if shape is None:
         return []
     tolerance = PairTolerance(round(tolerance_s * NS_PER_S))
     for stamp_ns in left_ns.tolist():

@@ -12,10 +12,6 @@ CONTROL, SHOWN_ENDS = re.compile(r"[\x00-\x1f\x7f]+"), 150
 SHOWN = 5  # of each kind at once; the others are counted
 
 
-def _silent(_: str) -> None:
-    """Drop the text."""
-
-
 @dataclass(slots=True)
 class Problems:
     """Collects what was left out or repaired.
@@ -27,7 +23,7 @@ class Problems:
         repaired: how many of each kind are used all the same.
     """
 
-    report: Callable[[str], None] = _silent
+    report: Callable[[str], None] = lambda _: None
     lines: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
     repaired: Counter[str] = field(default_factory=Counter)
