@@ -214,12 +214,7 @@ def _image(image: SourceImage, frame_id: str) -> tuple[str, Any]:
 def _coded(stamp_ns: int, pixels: NDArray[np.generic], coding: ImageCoding) -> SourceImage:
     if coding.fmt == "raw":
         return SourceImage(stamp_ns, pixels)
-    return SourceImage(stamp_ns, _compress(pixels, coding), coding.fmt)
-
-
-def _compress(image: NDArray[np.generic], coding: ImageCoding) -> bytes:
-    if coding.fmt == "png":
-        _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
-    else:
-        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, coding.quality])
-    return bytes(data)
+    png = coding.fmt == "png"
+    option = [cv2.IMWRITE_PNG_COMPRESSION, 3] if png else [cv2.IMWRITE_JPEG_QUALITY, coding.quality]
+    _, data = cv2.imencode(f".{coding.fmt}", pixels, option)
+    return SourceImage(stamp_ns, bytes(data), coding.fmt)
