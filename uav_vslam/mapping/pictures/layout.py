@@ -67,7 +67,8 @@ def lay_out(count: int, pairs: Sequence[MatchedPair], centred_px: Sequence[Array
     """
     while pairs:
         used = largest_part(count, pairs)
-        pairs = [pair for pair in pairs if pair.first in set(used.tolist())]
+        among = set(used.tolist())
+        pairs = [pair for pair in pairs if pair.first in among]
         turn = _turns(count, used, pairs)
         shift, error = _shifts(count, used, pairs, centred_px, turn, float(np.median(sides_px)))
         turn_error = np.array([_turn_error(pair, turn) for pair in pairs]) / TURN_SIGMA

@@ -94,10 +94,11 @@ def quality(found: Reconstruction) -> Figures:
     """Return figures of the adjustment."""
     scene, tracks, placement = found.adjusted.scene, found.adjusted.tracks, found.placement
     error = np.linalg.norm(scene.residuals(tracks), axis=1)
+    left_out = np.setdiff1d(np.arange(len(found.pictures)), found.adjusted.used)
     figures: Figures = {
         "pictures": len(found.pictures),
         "used": len(found.adjusted.used),
-        "left_out": [p.name for k, p in enumerate(found.pictures) if k not in set(found.adjusted.used.tolist())],
+        "left_out": [found.pictures[k].name for k in left_out],
         "pairs": found.pairs,
         "points": len(scene.points),
         "observations": len(tracks.point),

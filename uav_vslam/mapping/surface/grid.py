@@ -86,13 +86,13 @@ class HeightGrid:
         self._extent: Raster | None = Raster(cell_m, 0, 0, 0, 0)  # None: not known since `open`
 
     @staticmethod
-    def open(folder: Path, *, most_bytes: int = KEPT_BYTES) -> "HeightGrid":
+    def open(folder: Path) -> "HeightGrid":
         """Return the grid that was written to a folder.
 
         Raises:
             UavVslamError: there is none.
         """
-        store = GridTiles.open(folder, most_bytes=most_bytes)
+        store = GridTiles.open(folder)
         grid = HeightGrid(store.cell_m)
         grid._tiles, grid._extent = store, None
         return grid

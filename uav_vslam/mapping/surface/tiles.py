@@ -52,7 +52,7 @@ class GridTiles(TileStore[Tile]):
             self.flush()
 
     @staticmethod
-    def open(folder: Path, *, most_bytes: int = KEPT_BYTES) -> "GridTiles":
+    def open(folder: Path) -> "GridTiles":
         """Return the store that was written to a folder.
 
         Raises:
@@ -66,7 +66,7 @@ class GridTiles(TileStore[Tile]):
             ) from None
         if index.get("version") != VERSION:
             raise UavVslamError(f"{folder / INDEX} has version {index.get('version')}, expected {VERSION}; map again")
-        store = GridTiles(float(index["cell_m"]), most_bytes=most_bytes)
+        store = GridTiles(float(index["cell_m"]))
         store._folder = folder
         store._known = {(row, column) for row, column in index["tiles"]}
         return store
