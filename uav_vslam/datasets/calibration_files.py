@@ -192,12 +192,10 @@ def _related(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
     if left.T_left_cam is None or right.T_left_cam is None:
         return [left, right]
     T_left_right = left.T_left_cam.inverse() @ right.T_left_cam
+    poses: tuple[Pose | None, ...] = Pose.identity(), T_left_right
     if np.linalg.norm(T_left_right.t) < MIN_BASELINE_M:  # each was calibrated alone, and says nothing of the other
-        return [dataclasses.replace(camera, T_left_cam=None) for camera in cameras]
-    return [
-        CameraCalibration(left.camera, left.T_body_cam, Pose.identity(), left.time_offset_s),
-        CameraCalibration(right.camera, right.T_body_cam, T_left_right, right.time_offset_s),
-    ]
+        poses = None, None
+    return [dataclasses.replace(camera, T_left_cam=pose) for camera, pose in zip(cameras, poses, strict=True)]
 
 
 def _noise(tree: Tree) -> dict[str, float]:
