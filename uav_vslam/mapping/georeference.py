@@ -9,7 +9,8 @@ the map frame. Files have north first; arrays here have south first, as `Raster`
 """
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -127,18 +128,28 @@ def write_parts(
             raster.cell_m, raster.column + column * TILE_PX, north - (row + 1) * TILE_PX, TILE_PX, TILE_PX
         ).intersection(raster)
         pyramid.add(row, column, [band[::-1] for band in part(place)])
+    with naming(path), tifffile.TiffWriter(path) as file:
+        for level, (shape, tiles) in enumerate(pyramid.levels()):
+            file.write(
+                tiles,
+                shape=(len(names), *shape),
+                dtype=np.float32,
+                photometric="minisblack",
+                planarconfig="separate",
+                extrasamples=["unspecified"] * (len(names) - 1),
+                **_page(tags, level),
+            )
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an error of the disk name the file that is written.
+
+    Raises:
+        UavVslamError: the file can't be written.
+    """
     try:
-        with tifffile.TiffWriter(path) as file:
-            for level, (shape, tiles) in enumerate(pyramid.levels()):
-                file.write(
-                    tiles,
-                    shape=(len(names), *shape),
-                    dtype=np.float32,
-                    photometric="minisblack",
-                    planarconfig="separate",
-                    extrasamples=["unspecified"] * (len(names) - 1),
-                    **_page(tags, level),
-                )
+        yield
     except OSError as error:
         raise UavVslamError(f"{path} can't be written: {error.strerror or error}") from error
 
@@ -172,17 +183,12 @@ def _write_tiff(path: Path, stack: NDArray[np.uint8], tags: list[Any], *, photom
     """
     colours = 3 if photometric == "rgb" else 1
     extra = ["unassalpha"] * (stack.shape[-1] - colours)
-    try:
-        with tifffile.TiffWriter(path) as file:
-            for level in itertools.count():
-                file.write(
-                    stack, photometric=photometric, planarconfig="contig", extrasamples=extra, **_page(tags, level)
-                )
-                if max(stack.shape[:2]) <= TILE_PX:
-                    break
-                stack = stack[::2, ::2]
-    except OSError as error:
-        raise UavVslamError(f"{path} can't be written: {error.strerror or error}") from error
+    with naming(path), tifffile.TiffWriter(path) as file:
+        for level in itertools.count():
+            file.write(stack, photometric=photometric, planarconfig="contig", extrasamples=extra, **_page(tags, level))
+            if max(stack.shape[:2]) <= TILE_PX:
+                break
+            stack = stack[::2, ::2]
 
 
 def _page(tags: list[Any], level: int) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.georeference import naming
 from uav_vslam.mapping.model.triangles import Mesh, mesh_of, simplified
 from uav_vslam.mapping.model.walls import wall_colours
 from uav_vslam.mapping.orthomosaic.heights import Heights
@@ -26,6 +27,7 @@ from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic, Picture
 from uav_vslam.mapping.orthomosaic.pyramid import fill
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.view import View
+from uav_vslam.vision.images import to_bgr8
 
 Array = NDArray[np.float64]
 
@@ -69,11 +71,13 @@ def write_model(
     coarse = simplified(mesh, TRIANGLES)
     walls = coarse.part(coarse.steep)
     shades = wall_colours(walls, _inside(walls, colour, picture.raster, cell_m), views, heights, raster)
-    origin, glb = _origin(picture.raster), folder / "model.glb"
+    origin, glb, ply = _origin(picture.raster), folder / "model.glb", folder / "model.ply"
     scene = _scene(coarse.part(~coarse.steep), colour, picture.raster, walls, shades, origin)
-    _write(glb, scene.export(file_type="glb"))
+    with naming(glb):
+        glb.write_bytes(scene.export(file_type="glb"))
     coloured = _coloured(simplified(mesh, PLY_TRIANGLES), colour, picture.raster).apply_translation(-origin)
-    _write(folder / "model.ply", coloured.export(file_type="ply"))
+    with naming(ply):
+        ply.write_bytes(coloured.export(file_type="ply"))
     moved = {"ply_origin_m": origin.tolist()} if origin.any() else {}
     return {"triangles": len(coarse.faces), "bytes": glb.stat().st_size} | moved
 
@@ -83,13 +87,6 @@ def _origin(raster: Raster) -> Array:
     west, south, east, north = raster.bounds_m
     centre = np.array([0.5 * (west + east), 0.5 * (south + north), 0.0])
     return np.rint(centre) if np.abs(centre).max() > FAR_M else np.zeros(3)
-
-
-def _write(path: Path, content: Any) -> None:
-    try:
-        path.write_bytes(content)
-    except OSError as error:
-        raise UavVslamError(f"{path} can't be written: {error.strerror}") from error
 
 
 def _shown(picture: Picture, raster: Raster) -> NDArray[np.bool_]:
@@ -102,8 +99,8 @@ def _shown(picture: Picture, raster: Raster) -> NDArray[np.bool_]:
 
 def _closed(picture: Picture) -> NDArray[np.uint8]:
     """Return (rows, columns, 3) BGR in which ground that no view shows continues its surroundings."""
-    image = picture.image if picture.image.ndim == 3 else np.repeat(picture.image[..., None], 3, axis=2)
-    return np.clip(np.rint(fill(image.astype(np.float32), picture.seen)), 0, 255).astype(np.uint8)
+    filled = fill(to_bgr8(picture.image).astype(np.float32), picture.seen)
+    return np.clip(np.rint(filled), 0, 255).astype(np.uint8)
 
 
 def _inside(walls: Mesh, colour: NDArray[np.uint8], raster: Raster, cell_m: float) -> Array:

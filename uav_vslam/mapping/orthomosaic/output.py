@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.geodetic import Datum
-from uav_vslam.mapping.georeference import write_picture
+from uav_vslam.mapping.georeference import naming, write_picture
 from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic
 
 LARGEST_PREVIEW_BYTES = 3_000_000
@@ -35,10 +34,8 @@ def write_orthomosaic(mosaic: Orthomosaic, folder: Path, datum: Datum | None = N
     picture = mosaic.picture()
     write_picture(folder / "orthomosaic", picture.image, picture.raster, datum, seen=picture.seen)
     preview = folder / "orthomosaic.jpg"
-    try:
+    with naming(preview):
         preview.write_bytes(_preview(picture.image[::-1]))
-    except OSError as error:
-        raise UavVslamError(f"{preview} can't be written: {error.strerror}") from error
     return {
         "m_per_px": mosaic.m_per_px,
         "width": picture.raster.columns,
