@@ -30,7 +30,7 @@ CAMERA = PinholeCamera(64, 48, 80.0, 80.0, 32.0, 24.0)
 def odometry(k, north_error_m, sigma_m):
     pose = Pose(so3_exp([0.0, 0.0, 0.01 * k]), np.array([2.0 * k, north_error_m, 70.0]))
     sample = TruthSample(START_NS + 100_000_000 * k, pose, np.zeros(3), np.zeros(3))
-    built = truth_message(sample, frame_id="map", child_frame_id="base_link")
+    built = truth_message(sample, "uav1")
     built.pose.covariance[:] = np.diag([sigma_m**2] * 3 + [1e-4] * 3).ravel()
     return sample.stamp_ns, built
 

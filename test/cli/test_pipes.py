@@ -46,7 +46,7 @@ def test_an_evaluation_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None
     with RawRecorder(bag) as recorder:
         for k in range(3):
             sample = TruthSample(10**9 * (k + 1), Pose.identity(), np.zeros(3), np.zeros(3))
-            data = encode(truth_message(sample, frame_id="map", child_frame_id="base_link"))
+            data = encode(truth_message(sample, "uav1"))
             recorder.write("/uav1/odometry", "nav_msgs/msg/Odometry", data, sample.stamp_ns)
     check_saved_unread(results, "evaluate", str(bag))
 

@@ -154,7 +154,7 @@ def _decoded(raw: RawMessage, unread: Unread) -> Any:
 def _start(vehicle: CutVehicle) -> Any:
     state = dataclasses.replace(vehicle.start.state, stamp_ns=vehicle.first_ns + vehicle.shift_ns)
     moved = dataclasses.replace(vehicle.start, state=state)
-    return navigation_state_message(moved, frame_id=f"{vehicle.name}/map", child_frame_id=f"{vehicle.name}/base_link")
+    return navigation_state_message(moved, vehicle.name)
 
 
 def _readings(flight: BagFlight, vehicle: CutVehicle, unread: Unread) -> Iterator[Message]:
@@ -177,8 +177,7 @@ def _truth(vehicle: CutVehicle, truth: TruthTrack) -> Iterator[Message]:
         stamp_ns = int(truth.stamps_ns[k]) + vehicle.shift_ns
         pose = Pose(truth.R_world_body[k], truth.positions_world[k])
         sample = TruthSample(stamp_ns, pose, truth.velocities_world[k], np.full(3, np.nan))
-        built = truth_message(sample, frame_id="world", child_frame_id=f"{vehicle.name}/base_link")
-        yield stamp_ns, f"/{vehicle.name}/ground_truth/odometry", built
+        yield stamp_ns, f"/{vehicle.name}/ground_truth/odometry", truth_message(sample, vehicle.name)
 
 
 def _write_fleet_file(folder: Path, names: list[str], config: VehicleConfig) -> None:

@@ -175,14 +175,11 @@ def _events(flight: FlightRecording, coding: ImageCoding) -> Iterator[Event]:
 
 def _initial(flight: FlightRecording) -> Iterator[tuple[str, Any]]:
     assert flight.initial is not None
-    name = flight.vehicle
-    built = navigation_state_message(flight.initial, frame_id=f"{name}/map", child_frame_id=f"{name}/base_link")
-    yield f"/{name}/initial_state", built
+    yield f"/{flight.vehicle}/initial_state", navigation_state_message(flight.initial, flight.vehicle)
 
 
 def _truth(flight: FlightRecording, sample: TruthSample) -> Iterator[tuple[str, Any]]:
-    built = truth_message(sample, frame_id="world", child_frame_id=f"{flight.vehicle}/base_link")
-    yield f"/{flight.vehicle}/ground_truth/odometry", built
+    yield f"/{flight.vehicle}/ground_truth/odometry", truth_message(sample, flight.vehicle)
 
 
 def _imu(flight: FlightRecording, sample: ImuSample) -> Iterator[tuple[str, Any]]:

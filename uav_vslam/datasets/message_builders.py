@@ -85,8 +85,8 @@ def imu_message(sample: ImuSample, frame_id: str) -> Any:
     )
 
 
-def truth_message(sample: TruthSample, *, frame_id: str, child_frame_id: str) -> Any:
-    """Build nav_msgs/Odometry; the twist is in the body frame, as the message defines it."""
+def truth_message(sample: TruthSample, vehicle: str) -> Any:
+    """Build nav_msgs/Odometry of a vehicle in `world`; the twist is in the body frame, as the message defines it."""
     twist = message(
         "geometry_msgs/msg/Twist",
         linear=_vector(sample.T_world_body.R.T @ sample.v_world),
@@ -94,20 +94,20 @@ def truth_message(sample: TruthSample, *, frame_id: str, child_frame_id: str) ->
     )
     return message(
         "nav_msgs/msg/Odometry",
-        header=_header(sample.stamp_ns, frame_id),
-        child_frame_id=child_frame_id,
+        header=_header(sample.stamp_ns, "world"),
+        child_frame_id=f"{vehicle}/base_link",
         pose=message("geometry_msgs/msg/PoseWithCovariance", pose=_pose(sample.T_world_body), covariance=np.zeros(36)),
         twist=message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
     )
 
 
-def navigation_state_message(estimate: NavEstimate, *, frame_id: str, child_frame_id: str) -> Any:
-    """Build uav_vslam_msgs/NavigationState."""
+def navigation_state_message(estimate: NavEstimate, vehicle: str) -> Any:
+    """Build uav_vslam_msgs/NavigationState of a vehicle in its map frame."""
     state = estimate.state
     return message(
         "uav_vslam_msgs/msg/NavigationState",
-        header=_header(state.stamp_ns, frame_id),
-        child_frame_id=child_frame_id,
+        header=_header(state.stamp_ns, f"{vehicle}/map"),
+        child_frame_id=f"{vehicle}/base_link",
         pose=_pose(state.T_map_body),
         velocity=_vector(state.v_map),
         gyro_bias=_vector(state.gyro_bias),
