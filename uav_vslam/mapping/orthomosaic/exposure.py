@@ -89,9 +89,6 @@ class Exposure:
         self._log_gains: list[Array] = []
         self._blocks: defaultdict[tuple[int, int], list[int]] = defaultdict(list)  # views by the ground below them
 
-    def __len__(self) -> int:
-        return len(self._thumbs)
-
     def add(self, thumb: Rectified, camera: str) -> Correction:
         """Take the next view and return its correction, given all before.
 

@@ -133,13 +133,13 @@ class Orthomosaic:
             UavVslamError: no view was added.
         """
         raster = self.seen() if raster is None else raster
-        image = np.zeros((*raster.shape, self._channels), np.uint8)
+        image = np.zeros((*raster.shape, self.tiles.channels), np.uint8)
         labels = np.full(raster.shape, UNSEEN, np.int32)
         for strip in raster.tiles(SIDE * STRIP_TILES):
             part = strip.intersection(raster)
             at = part.within(raster)
             image[at], labels[at] = self._window(part)
-        return Picture(raster, image[..., 0] if self._channels == 1 else image, labels)
+        return Picture(raster, image[..., 0] if self.tiles.channels == 1 else image, labels)
 
     def seen(self) -> Raster:
         """Return the smallest window with all that was seen.
@@ -161,10 +161,6 @@ class Orthomosaic:
         for view, count in zip(self.views, counts[1:], strict=True):
             shares[view.vehicle] += float(count / max(counts[1:].sum(), 1))
         return shares
-
-    @property
-    def _channels(self) -> int:
-        return self.tiles.channels
 
     def _correction(self, considered: int, view: View) -> Correction | None:
         """Return the correction of a view's brightness; None if it shows too little for one."""
@@ -188,7 +184,7 @@ class Orthomosaic:
         """Return image (rows, columns, channels) and labels of a window."""
         around = raster.grown(MARGIN, align=ALIGN)  # all bands that reach into the window
         bands = [
-            np.zeros((around.rows >> level, around.columns >> level, self._channels), np.float32)
+            np.zeros((around.rows >> level, around.columns >> level, self.tiles.channels), np.float32)
             for level in range(LEVELS + 1)
         ]
         labels = np.full(around.shape, UNSEEN, np.int32)

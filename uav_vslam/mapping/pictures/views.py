@@ -29,9 +29,6 @@ class PictureViews:
         self._pictures, self._adjusted = pictures, adjusted
         self._lenses: dict[int, tuple[PinholeCamera, tuple[Image, Image]]] = {}
 
-    def __len__(self) -> int:
-        return len(self._adjusted.used)
-
     def __iter__(self) -> Iterator[View]:
         return (self.view(int(number)) for number in self._adjusted.used)
 
