@@ -174,8 +174,8 @@ def nodes_of(bag: Path, folder: Path, key_file: str) -> list[NodeSpec]:
         "fusion": {"peers": list(PEERS)},
         "replay": {"wait_for": ["odometry", "fused/odometry", "attacked"]},
     }
-    specs = [dataclasses.replace(s, parameters=s.parameters | added.get(s.name, {})) for s in specs]
-    recorder = NodeSpec("recorder", "recorder", "/", {"output": str(folder / "out"), "vehicles": ["uav1"]})
+    specs = [dataclasses.replace(s, parameters=s.parameters | added.get(s.executable, {})) for s in specs]
+    recorder = NodeSpec("recorder", "/", {"output": str(folder / "out"), "vehicles": ["uav1"]})
     return [recorder, *specs]
 
 

@@ -74,7 +74,7 @@ class Recording:
 @pytest.mark.parametrize("room_again", [True, False])
 def test_a_recorder_on_a_full_disk_goes_on(room_again: bool, domain_id: int, tmp_path: Path) -> None:
     bag = tmp_path / "out"
-    spec = NodeSpec("recorder", "recorder", "/", {"output": str(bag), "vehicles": ["uav1"]})
+    spec = NodeSpec("recorder", "/", {"output": str(bag), "vehicles": ["uav1"]})
     with Witness(domain_id) as witness, running([spec], tmp_path, domain_id) as processes:
         recording = Recording(witness, processes["recorder"], bag)
         recording.fill()
@@ -107,7 +107,7 @@ def test_a_recorder_on_a_full_disk_goes_on(room_again: bool, domain_id: int, tmp
 
 def test_a_fleet_whose_bag_has_no_end_does_not_end_well(domain_id: int, tmp_path: Path) -> None:
     bag, said = tmp_path / "out", []
-    spec = NodeSpec("recorder", "recorder", "/", {"output": str(bag), "vehicles": ["uav1"]})
+    spec = NodeSpec("recorder", "/", {"output": str(bag), "vehicles": ["uav1"]})
 
     def on_line(_: str, line: str) -> None:
         said.append(line)

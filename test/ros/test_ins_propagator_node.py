@@ -521,7 +521,7 @@ def test_a_start_state_of_another_frame_than_the_body_is_told(
     domain_id: int, tmp_path: Path, frame: str, said: str
 ) -> None:
     """The readings come first, in the body's frame, so that nothing else asks for /tf_static."""
-    spec, log = NodeSpec("ins_propagator", "ins_propagator", "/uav1", {}), tmp_path / "ins_propagator.log"
+    spec, log = NodeSpec("ins_propagator", "/uav1", {}), tmp_path / "ins_propagator.log"
     with Witness(domain_id) as witness, running([spec], tmp_path, domain_id):
         create = witness.node.create_publisher
         readings, images = (

@@ -135,7 +135,7 @@ def make_vehicle(make_joint: MakeJoint) -> Iterator[Callable[..., Vehicle]]:
 
 def fusion(vehicle: str, *, folder: Path, **parameters: Any) -> tuple[NodeSpec, Path]:
     folder.mkdir(exist_ok=True)
-    return NodeSpec("fusion", "fusion", f"/{vehicle}", {"vehicle": vehicle, **parameters}), folder
+    return NodeSpec("fusion", f"/{vehicle}", {"vehicle": vehicle, **parameters}), folder
 
 
 def test_two_vehicles_of_one_name_on_the_radio_are_an_error_on_both_and_named_by_their_peers(
@@ -146,9 +146,9 @@ def test_two_vehicles_of_one_name_on_the_radio_are_an_error_on_both_and_named_by
     peer = make_vehicle(own[2], "uav2")
     on_radio = {"radio_domain_id": radio, "radio_peers": ["127.0.0.1"]}
     specs = [
-        NodeSpec("fusion", "fusion", "/uav1", {"peers": ["uav2"], **on_radio}),
-        NodeSpec("fusion", "fusion", "/uav1", {"peers": ["uav2"], **on_radio}),
-        NodeSpec("fusion", "fusion", "/uav2", {"peers": ["uav1"], **on_radio}),
+        NodeSpec("fusion", "/uav1", {"peers": ["uav2"], **on_radio}),
+        NodeSpec("fusion", "/uav1", {"peers": ["uav2"], **on_radio}),
+        NodeSpec("fusion", "/uav2", {"peers": ["uav1"], **on_radio}),
     ]
     folders = [tmp_path / name for name in ("first", "second", "peer")]
     for folder in folders:
@@ -190,7 +190,7 @@ def test_keys_that_differ_are_told_by_every_vehicle(
     with contextlib.ExitStack() as stack:
         for name in names:
             peers = [peer for peer in names if peer != name]
-            spec = NodeSpec("fusion", "fusion", f"/{name}", {"peers": peers, "fusion.fleet_key_file": keys[name]})
+            spec = NodeSpec("fusion", f"/{name}", {"peers": peers, "fusion.fleet_key_file": keys[name]})
             (tmp_path / name).mkdir()
             stack.enter_context(running([spec], tmp_path / name, domain_id))
         fleet = Fleet(*vehicles.values())
@@ -227,7 +227,7 @@ def test_a_forged_session_does_not_end_cooperation_and_the_future_does_not_fill_
     uav1 = make_vehicle(domain_id, "uav1")
     radio = uav1.witness.node.create_publisher(LandmarkInformation, packets_of("uav2"), RADIO["wideband"])
     peer = Fusion("uav2", FusionConfig())
-    spec = NodeSpec("fusion", "fusion", "/uav1", {"peers": ["uav2"]})
+    spec = NodeSpec("fusion", "/uav1", {"peers": ["uav2"]})
     with running([spec], tmp_path, domain_id) as processes:
         fleet = Fleet(uav1)
 

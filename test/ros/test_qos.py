@@ -74,7 +74,7 @@ def test_an_override_that_no_node_has_is_named_but_not_one_of_another_node(domai
     ]
     nobodys = ["qos_overrides./uav1/ins/odometry.subscription.depth", "qos_overrides./uav2/left.subscription.depth"]
     given = dict.fromkeys((right, *others, wrong, *nobodys), 5) | {"input.topics.left": "/camera/left"}
-    with Witness(domain_id) as witness, running([NodeSpec("fusion", "fusion", "/uav1", given)], tmp_path, domain_id):
+    with Witness(domain_id) as witness, running([NodeSpec("fusion", "/uav1", given)], tmp_path, domain_id):
         assert witness.sees(lambda: witness.text("uav1: fusion"))
     (line,) = [line for line in (tmp_path / "fusion.log").read_text().splitlines() if "without effect" in line]
     assert f": {', '.join([wrong, *nobodys])}; did you mean {right}?" in line

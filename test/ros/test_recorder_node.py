@@ -69,7 +69,7 @@ def test_an_output_in_a_place_where_nothing_can_be_made_is_one_line(tmp_path: Pa
 def test_a_recorder_that_is_killed_loses_no_more_than_what_came_since_its_last_report(
     domain_id: int, tmp_path: Path
 ) -> None:
-    spec = NodeSpec("recorder", "recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]})
+    spec = NodeSpec("recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]})
     message, file = Odometry(), tmp_path / "out" / "out.mcap"
     with Witness(domain_id) as witness, running([spec], tmp_path, domain_id) as processes:
         publisher = witness.node.create_publisher(Odometry, "/uav1/odometry", 10)

@@ -105,7 +105,7 @@ def feed(domain_id: int, witness: Witness) -> Iterator[Feed]:
 def test_while_two_nodes_publish_an_input_it_is_not_used(
     feed: Feed, witness: Witness, domain_id: int, tmp_path: Path
 ) -> None:
-    fusion = NodeSpec("fusion", "fusion", "/uav1", {"vehicle": "uav1", "fusion.mode": "none"})
+    fusion = NodeSpec("fusion", "/uav1", {"vehicle": "uav1", "fusion.mode": "none"})
     with running([fusion], tmp_path, domain_id):
         feed.join("true", "slam_backend", x_m=0.0)
         assert witness.sees(lambda: len(feed.fused_x_m) > 20, feed.step)

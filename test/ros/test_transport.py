@@ -26,9 +26,9 @@ def test_only_nodes_with_images_map_shared_memory(
     domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(PROFILES_FILE, str(find_dds_profile("images.xml")))
-    specs = [NodeSpec(name, name, "/uav1", {"vehicle": "uav1"}) for name in (*VEHICLE_NODES, "mapper")]
+    specs = [NodeSpec(name, "/uav1", {"vehicle": "uav1"}) for name in (*VEHICLE_NODES, "mapper")]
     specs[-1].parameters["map.folder"] = str(tmp_path / "map")
-    specs.append(NodeSpec("recorder", "recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]}))
+    specs.append(NodeSpec("recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]}))
     with Witness(domain_id) as witness, running(specs, tmp_path, domain_id) as processes:
         assert witness.sees(lambda: len(witness.statuses) == len(specs))
         maps = {name: Path(f"/proc/{process.pid}/maps").read_text() for name, process in processes.items()}

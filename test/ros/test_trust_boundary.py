@@ -20,7 +20,7 @@ SERVICES = {"describe_parameters", "get_parameter_types", "get_parameters", "lis
 
 def test_parameters_can_be_closed_to_others(domain_id: int, tmp_path: Path) -> None:
     fleet = FleetConfig({"uav1": VehicleConfig()}, ReplayConfig())
-    (fusion,) = (spec for spec in node_specs(fleet) if spec.name == "fusion")
+    (fusion,) = (spec for spec in node_specs(fleet) if spec.executable == "fusion")
     with Witness(domain_id) as stranger, running([without_parameter_services(fusion)], tmp_path, domain_id):
         assert stranger.sees(lambda: stranger.text("uav1: fusion"))
 

@@ -25,9 +25,9 @@ def running(
     environment, found = os.environ | {"ROS_DOMAIN_ID": str(domain_id), "PYTHONFAULTHANDLER": "1"}, {}
     try:
         for spec in specs:
-            with (folder / f"{spec.name}.log").open("wb") as log:
+            with (folder / f"{spec.executable}.log").open("wb") as log:
                 argv = node_command(spec).argv
-                found[spec.name] = subprocess.Popen(
+                found[spec.executable] = subprocess.Popen(
                     argv, env=environment | spec.environment, stdout=log, stderr=subprocess.STDOUT, **options
                 )
         yield found

@@ -35,7 +35,7 @@ class Command:
 
 def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     """Return the command that runs a node; its name is "uav1/slam_backend", or "replay" for the whole fleet."""
-    name = f"{spec.namespace}/{spec.name}".strip("/")
+    name = f"{spec.namespace}/{spec.executable}".strip("/")
     argv = [*find_executable(spec.executable), *spec.ros_arguments()]
     argv += ["--log-level", log_level] if log_level else []
     of_vehicle = spec.executable in NODES and issubclass(NODES[spec.executable].own, VehicleNodeConfig)

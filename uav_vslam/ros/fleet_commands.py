@@ -22,8 +22,7 @@ class NodeSpec:
     """One process of the graph.
 
     Attributes:
-        executable: name in lib/uav_vslam, as `ros2 run uav_vslam` takes it.
-        name: node name.
+        executable: name in lib/uav_vslam, as `ros2 run uav_vslam` takes it, and of the node.
         namespace: of the vehicle, with its slash ("/uav1"); "/" for nodes of the whole fleet.
         parameters: ROS parameters by dotted name; absent ones keep their defaults.
         remappings: other topics to use, by the name that the node itself uses.
@@ -31,7 +30,6 @@ class NodeSpec:
     """
 
     executable: str
-    name: str
     namespace: str
     parameters: dict[str, Any]
     remappings: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -39,7 +37,7 @@ class NodeSpec:
 
     def ros_arguments(self) -> list[str]:
         """Return the arguments that make `executable` this node."""
-        arguments = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={self.namespace}"]
+        arguments = ["--ros-args", "-r", f"__node:={self.executable}", "-r", f"__ns:={self.namespace}"]
         for topic, other in self.remappings.items():
             arguments += ["-r", f"{topic}:={other}"]
         for key, value in self.parameters.items():
@@ -75,7 +73,7 @@ def node_specs(
     if vehicles and link is not None:
         raise ConfigError("an emulated link needs all vehicles on one computer; leave out the vehicles or the link")
     sim_time = bool(fleet.replay.bags) if use_sim_time is None else use_sim_time
-    specs = [NodeSpec("recorder", "recorder", "/", {"output": record, "vehicles": list(here)})] if record else []
+    specs = [NodeSpec("recorder", "/", {"output": record, "vehicles": list(here)})] if record else []
     of_vehicle = {
         name: {"vehicle": name, "use_sim_time": sim_time, **differences(config)} for name, config in here.items()
     }
@@ -83,7 +81,7 @@ def node_specs(
         specs += _vehicle_specs(fleet, name, parameters, link)
     if maps:
         specs += [
-            NodeSpec("mapper", "mapper", f"/{name}", parameters | {"map.folder": f"{maps}/{name}"})
+            NodeSpec("mapper", f"/{name}", parameters | {"map.folder": f"{maps}/{name}"})
             for name, parameters in of_vehicle.items()
         ]
     if vehicles:
@@ -98,7 +96,7 @@ def node_specs(
 def _link_emulator_spec(fleet: FleetConfig, link: LinkConfig, *, sim_time: bool) -> NodeSpec:
     parameters = {"vehicles": list(fleet.vehicles), "use_sim_time": sim_time}
     parameters |= {f"link.{name}": value for name, value in differences(link).items()}
-    return NodeSpec("link_emulator", "link_emulator", "/", parameters)
+    return NodeSpec("link_emulator", "/", parameters)
 
 
 def _replay_spec(fleet: FleetConfig, here: Mapping[str, VehicleConfig]) -> NodeSpec:
@@ -106,7 +104,7 @@ def _replay_spec(fleet: FleetConfig, here: Mapping[str, VehicleConfig]) -> NodeS
     parameters = {"vehicles": list(here), **differences(fleet.replay)}
     finding = [name for name, config in here.items() if config.start.method != "given"]
     parameters |= {"finding_start": finding} if finding else {}
-    return NodeSpec("replay", "replay", "/", parameters | _replay_inputs(here))
+    return NodeSpec("replay", "/", parameters | _replay_inputs(here))
 
 
 def _vehicle_specs(
@@ -117,8 +115,7 @@ def _vehicle_specs(
     own = {"peers": peers} if peers else {}  # ROS can't type an empty list
     via = {packets_of(peer): link_output(vehicle, peer) for peer in peers} if link else {}
     via |= {feedback_to(vehicle): link_output(vehicle, "feedback")} if via else {}
-    namespace = f"/{vehicle}"
-    *others, fusion = (NodeSpec(name, name, namespace, parameters) for name in VEHICLE_NODES)
+    *others, fusion = (NodeSpec(name, f"/{vehicle}", parameters) for name in VEHICLE_NODES)
     return [*others, dataclasses.replace(fusion, parameters=parameters | own, remappings=via)]
 
 

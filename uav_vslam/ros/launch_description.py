@@ -67,7 +67,7 @@ def _action(spec: NodeSpec, log_level: str) -> Node:
     return Node(
         package="uav_vslam",
         executable=spec.executable,
-        name=spec.name,
+        name=spec.executable,
         namespace=spec.namespace,
         parameters=[spec.parameters],
         remappings=list(spec.remappings.items()),
