@@ -68,20 +68,21 @@ class Evidence:
 
 def split_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
     """Add independent evidence, intersect dependent: always consistent, and as good as a sum where a sum is valid."""
-    if not evidence.dependent:
-        return _add(own, evidence)
-    return _intersect(own, evidence, weigh)
+    return (full_ci if evidence.dependent else overlay)(own, evidence, weigh)
 
 
 def full_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
     """Intersect the whole joint belief with every packet, one weight for all: always consistent, and cautious."""
-    return _intersect(own, evidence, weigh)
+    dependent = Split(np.zeros_like(own.total), own.total)
+    peer = Split(evidence.floor, evidence.R)
+    return split_covariance_intersection(dependent, evidence.E, evidence.innovation, peer, weigh=WEIGHTS[weigh])
 
 
 def overlay(own: Split, evidence: Evidence, weigh: str) -> Fused:
     """Add every packet: consistent only if no two beliefs ever shared a measurement or a prior."""
     del weigh
-    return _add(own, evidence)
+    R = evidence.R + evidence.floor
+    return split_covariance_intersection(own, evidence.E, evidence.innovation, Split(R, np.zeros_like(R)))
 
 
 def inverse_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
@@ -97,14 +98,3 @@ SCHEMES: dict[str, Callable[[Split, Evidence, str], Fused]] = {
     "overlay": overlay,
     "inverse_ci": inverse_ci,
 }
-
-
-def _add(own: Split, evidence: Evidence) -> Fused:
-    R = evidence.R + evidence.floor
-    return split_covariance_intersection(own, evidence.E, evidence.innovation, Split(R, np.zeros_like(R)))
-
-
-def _intersect(own: Split, evidence: Evidence, weigh: str) -> Fused:
-    dependent = Split(np.zeros_like(own.total), own.total)
-    peer = Split(evidence.floor, evidence.R)
-    return split_covariance_intersection(dependent, evidence.E, evidence.innovation, peer, weigh=WEIGHTS[weigh])
