@@ -173,22 +173,26 @@ def mixed(inputs: Iterable[Input], node: Node) -> dict[str, str]:
     return faults
 
 
+def _substitutes(inputs: Iterable[Input]) -> dict[str, list[Input]]:
+    """Return the inputs that can replace each other, by the topic that they stand for."""
+    found = defaultdict(list)
+    for one in inputs:
+        found[one.stands_for].append(one)
+    return found
+
+
 def unmatched(inputs: Iterable[Input]) -> list[str]:
     """Return the topics without a publisher for any subscription that stands for them."""
-    found: dict[str, bool] = {}
-    names: dict[str, str] = {}
-    for one in inputs:
-        found[one.stands_for] = found.get(one.stands_for, False) or one.subscription.get_publisher_count() > 0
-        names.setdefault(one.stands_for, one.subscription.topic_name)
-    return [names[topic] for topic, matched in found.items() if not matched]
+    return [
+        ones[0].subscription.topic_name
+        for ones in _substitutes(inputs).values()
+        if not any(one.subscription.get_publisher_count() for one in ones)
+    ]
 
 
 def silent(inputs: Iterable[Input]) -> list[str]:
     """Return the topics without any message so far, from themselves or a substitute."""
-    any_received: dict[str, bool] = {}
-    for one in inputs:
-        any_received[one.stands_for] = any_received.get(one.stands_for, False) or one.received > 0
-    return [topic for topic, received in any_received.items() if not received]
+    return [topic for topic, ones in _substitutes(inputs).items() if not any(one.received for one in ones)]
 
 
 def mismatch(inputs: Iterable[Input], topic: str, node: Node) -> str:
@@ -214,12 +218,8 @@ def _qos_apart(wanted: QoSProfile, offers: Iterable[QoSProfile]) -> str:
 
 def stopped(inputs: Iterable[Input], now_s: float) -> dict[str, float]:
     """Return the topics whose regular stream, their own or a substitute's, has stopped, and for how long [s]."""
-    streams = defaultdict(list)
-    for one in inputs:
-        if one.received >= STREAM and not one.may_pause:
-            streams[one.stands_for].append(one)
-    pauses = {}
-    for topic, ones in streams.items():
+    pauses, streams = {}, [one for one in inputs if one.received >= STREAM and not one.may_pause]
+    for topic, ones in _substitutes(streams).items():
         last = max(ones, key=lambda one: one.last_s)
         period_s = (last.last_s - last.first_s) / (last.received - 1)
         if now_s - last.last_s > max(PAUSE_S, PAUSE_PERIODS * period_s):
