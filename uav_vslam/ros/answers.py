@@ -76,10 +76,9 @@ class Answers:
                 del waiting[stamp_ns]
                 self.processed[vehicle] += topic in self._topics
 
-    def open(self, vehicle: str | None = None) -> list[tuple[str, int]]:
+    def open(self) -> list[tuple[str, int]]:
         """Return (vehicle, stamp) of every unanswered frame."""
-        vehicles = self._open if vehicle is None else (vehicle,)
-        return [(name, stamp_ns) for name in vehicles for stamp_ns in self._open[name]]
+        return [(vehicle, stamp_ns) for vehicle, stamps_ns in self._open.items() for stamp_ns in stamps_ns]
 
     def discard(self, vehicle: str, stamp_ns: int) -> None:
         """Stop waiting for the answers to a frame."""
