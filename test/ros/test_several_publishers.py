@@ -12,15 +12,18 @@ from hypothesis import strategies as st
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from geometry_msgs.msg import TwistWithCovariance  # noqa: E402
+from lone_node import lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from node_processes import Witness, running  # noqa: E402
 
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ros.convert import odometry_to_msg  # noqa: E402
 from uav_vslam.ros.fleet_commands import NodeSpec  # noqa: E402
-from uav_vslam.ros.publishers import Publishers  # noqa: E402
+from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
+from uav_vslam.ros.publishers import UNKNOWN, Publishers, nodes_publishing  # noqa: E402
 from uav_vslam.ros.qos import NEWEST  # noqa: E402
 from uav_vslam.types import NS_PER_S, PoseEstimate  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -138,6 +141,26 @@ def assert_unused(feed: Feed, witness: Witness) -> None:
     fused, later = len(feed.fused_x_m), refused() + 30
     assert witness.sees(lambda: refused() >= later, feed.step)
     assert len(feed.fused_x_m) == fused
+
+
+def test_several_such_inputs_are_named_in_one_order_in_every_run(domain_id: int) -> None:
+    with (
+        lone_node(InsPropagatorNode, domain_id) as make,
+        Witness(domain_id, name="one") as one,
+        Witness(domain_id, name="other") as other,
+    ):
+        ins = make()
+        topics = {it.subscription.topic_name: it for it in ins._inputs if not it.shared}
+        held = [w.node.create_publisher(it.message_type, t, it.qos) for t, it in topics.items() for w in (one, other)]
+
+        def found(topic: str) -> bool:
+            names = nodes_publishing(ins, topic)
+            return topics[topic].subscription.get_publisher_count() == 2 and not any(UNKNOWN in name for name in names)
+
+        assert wait_for(lambda: all(map(found, topics)))
+        ins.follow_offers()
+        assert list(ins.failures) == sorted(topics)
+        assert len(held) == 2 * len(topics) > 6
 
 
 def numbered(*numbers: int, names: int) -> Publishers:

@@ -229,9 +229,9 @@ class FusionNode(VehicleNode):
         status = self._reporter.report(stamp_ns, self.world_frame, own_weight=own_weight)
         self._status.publish(status)
         self._report_faults()
-        for peer in before - set(self._reporter.silent):
+        for peer in sorted(before - self._reporter.silent.keys()):
             self.get_logger().info(f"{peer} is received again")
-        for peer in set(self._reporter.silent) - before:
+        for peer in sorted(self._reporter.silent.keys() - before):
             self.get_logger().warning(f"{peer} is silent")
         self.notes["peers"] = str(len(status.peers))
         self.notes["sent_bytes_per_s"] = f"{status.recent_bytes_per_s:.0f}"
@@ -244,7 +244,7 @@ class FusionNode(VehicleNode):
     def _note_clocks(self) -> None:
         """Note whose clock is far ahead; log the onset."""
         ahead = clocks_ahead(self._fusion.inbox)
-        for subject in ahead.keys() - self.notes.keys():
+        for subject in sorted(ahead.keys() - self.notes.keys()):
             self.get_logger().info(ahead[subject])
         self.notes = {name: text for name, text in self.notes.items() if not name.startswith("clock/")} | ahead
 
@@ -254,7 +254,7 @@ class FusionNode(VehicleNode):
         is_down = self._interface is not None and self._interface.is_down
         radio = {"radio": f"radio interface {self.own.radio_interface} is down"} if is_down else {}
         faults = radio | peer_faults(self._fusion.inbox)
-        for subject in faults.keys() - self.alarms.keys():
+        for subject in sorted(faults.keys() - self.alarms.keys()):
             self.get_logger().warning(faults[subject])
         silent = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
         self.alarms = faults | silent

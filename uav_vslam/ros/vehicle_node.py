@@ -249,9 +249,9 @@ class VehicleNode(PausableNode):
     def _refuse_mixed(self) -> None:
         """Report inputs that several nodes publish; the inputs themselves stop passing messages on."""
         faults = mixed(self._inputs, self)
-        for topic in self._mixed - faults.keys():
+        for topic in sorted(self._mixed - faults.keys()):
             self.get_logger().info(f"one node publishes {topic} again; it is used")
-        for topic in self._mixed | faults.keys():
+        for topic in sorted(self._mixed | faults.keys()):
             self.report_failure(topic, faults.get(topic, ""))
         self._mixed = set(faults)
         refused = sum(one.refused for one in self._inputs)
