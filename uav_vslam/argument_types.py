@@ -5,7 +5,6 @@ Imported by `--help`, so nothing heavy here.
 """
 
 import argparse
-import re
 import sys
 from collections.abc import Callable
 
@@ -70,7 +69,9 @@ def positive_number(text: str) -> float:
 
 def namespace(text: str) -> str:
     """Return a vehicle's name, which is its ROS namespace: letters, digits and underscores, and no digit first."""
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", text):
+    from uav_vslam.config.settings import is_vehicle_name
+
+    if not is_vehicle_name(text):
         raise argparse.ArgumentTypeError(f"{text!r} is no ROS namespace: use letters, digits and _, and no digit first")
     return text
 
