@@ -22,7 +22,6 @@ from uav_vslam.config import (
     load_vehicle,
     parameter_file,
 )
-from uav_vslam.config.files import find_link
 from uav_vslam.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -286,7 +285,6 @@ def test_a_configuration_is_found_by_path_or_by_name(write: Write) -> None:
 
 @pytest.mark.parametrize("file", sorted((ROOT / "config" / "links").glob("*.yaml")), ids=lambda file: file.stem)
 def test_every_link_of_ours_can_be_read_by_its_name(file: Path) -> None:
-    assert find_link(file.stem) == find_link(str(file)) == file
     assert load_link(file.stem) == load_link(str(file)) != LinkConfig()
 
 

@@ -43,15 +43,6 @@ def find_config(name: str) -> Path:
     return _find(name, "configuration", _folders())
 
 
-def find_link(name: str) -> Path:
-    """Return the file of an emulated radio link: a path, or the name of a file in `config/links`.
-
-    Raises:
-        ConfigError: there is neither.
-    """
-    return _find(name, "link", [folder / "links" for folder in _folders()])
-
-
 def _find(name: str, kind: str, folders: Sequence[Path]) -> Path:
     for candidate in (Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in folders)):
         if candidate.is_file():
@@ -119,9 +110,9 @@ def load_link(name: str) -> LinkConfig:
     """Read the parameter file of an emulated radio link: a path, or the name of a file in `config/links`.
 
     Raises:
-        ConfigError: the file can't be read, or a key or value is wrong.
+        ConfigError: there is neither, the file can't be read, or a key or value is wrong.
     """
-    path = find_link(name)
+    path = _find(name, "link", [folder / "links" for folder in _folders()])
     return build(LinkNodeConfig, _read_parameters(path), where=str(path)).link
 
 

@@ -64,17 +64,12 @@ class Refusal:
     reason: str
 
 
-def align(pairs: PointPairs, *, seed: int = 0) -> Alignment | Refusal:
-    """Estimate T_own_peer from pairs with many outliers.
-
-    Args:
-        pairs: putative pairs.
-        seed: of the random choice among hypotheses, if there are too many.
-    """
+def align(pairs: PointPairs) -> Alignment | Refusal:
+    """Estimate T_own_peer from putative pairs with many outliers."""
     if len(pairs) < MIN_INLIERS:
         return Refusal(f"{len(pairs)} matches, {MIN_INLIERS} needed")
     relative = pairs.relative()
-    tried = hypotheses(relative, rng=np.random.default_rng(seed))
+    tried = hypotheses(relative, rng=np.random.default_rng(0))
     if len(tried) == 0:
         return Refusal(f"no two of {len(pairs)} matches agree")
     best = tried.best()
