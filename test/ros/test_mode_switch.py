@@ -89,5 +89,5 @@ def test_the_rate_of_a_stream_that_has_stopped_is_zero(domain_id: int, capsys: p
         sender = node.create_publisher(Imu, "/uav1/imu", NEWEST)
         for _ in range(10):
             sender.publish(Imu())
-        assert print_rate(node, "/uav1/imu", wait_s=10.0, count=2) == 0
+        print_rate(node, "/uav1/imu", wait_s=10.0, count=2)
     assert capsys.readouterr().out == 2 * "0.00 Hz, 0.00 kB/s\n"

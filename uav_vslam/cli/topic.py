@@ -44,6 +44,8 @@ def run(args: argparse.Namespace) -> int:
 
     with topic_tools.observer(args.domain) as node:
         if args.action == "list":
-            return topic_tools.print_topics(node, wait_s=args.wait)
-        act = topic_tools.echo if args.action == "echo" else topic_tools.print_rate
-        return act(node, args.topic, wait_s=args.wait, count=args.count)
+            topic_tools.print_topics(node, wait_s=args.wait)
+        else:
+            act = topic_tools.echo if args.action == "echo" else topic_tools.print_rate
+            act(node, args.topic, wait_s=args.wait, count=args.count)
+    return 0

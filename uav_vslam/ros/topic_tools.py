@@ -63,15 +63,14 @@ def observer(domain_id: int | None, name: str = "uav_vslam_topic") -> Iterator[O
             context.try_shutdown()
 
 
-def print_topics(node: Observer, *, wait_s: float) -> int:
+def print_topics(node: Observer, *, wait_s: float) -> None:
     """Print every topic with its type."""
     node.spin_until(lambda: False, wait_s)
     for topic, types in sorted(node.get_topic_names_and_types()):
         print(f"{topic}  [{', '.join(types)}]")
-    return 0
 
 
-def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
+def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> None:
     """Print `count` messages of a topic, or (0) without end."""
     printed: list[None] = []
 
@@ -81,10 +80,9 @@ def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
 
     _subscribe(node, topic, show, wait_s=wait_s, rate=False)
     node.spin_until(lambda: 0 < count <= len(printed))
-    return 0
 
 
-def print_rate(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
+def print_rate(node: Observer, topic: str, *, wait_s: float, count: int) -> None:
     """Print a topic's rate and bandwidth once a second, `count` times or (0) without end."""
     sizes: list[int] = []
     _subscribe(node, topic, lambda data: sizes.append(len(data)), wait_s=wait_s, rate=True)
@@ -96,7 +94,6 @@ def print_rate(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
         elapsed_s = time.monotonic() - begin_s
         print(f"{len(sizes) / elapsed_s:.2f} Hz, {sum(sizes) / elapsed_s / 1e3:.2f} kB/s", flush=True)
         reports += 1
-    return 0
 
 
 def format_message(message: Any, indent: str = "") -> list[str]:
