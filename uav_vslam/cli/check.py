@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.inspection.report import text, tree
 
     cv2.setNumThreads(1)
-    bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles))
+    bags, configs = bags_and_configs(args, _vehicles)
     judged = _judge(bags, configs)
     try:
         print("\n\n".join(text(survey, inspection) for survey, inspection in judged))  # a full disk must not cost it

@@ -30,14 +30,14 @@ def add_configuration(parser: argparse.ArgumentParser) -> None:
 
 def bags_and_configs(
     args: argparse.Namespace,
-    vehicles: Callable[[tuple[Path, ...], InputConfig], list[str]],
+    vehicles: Callable[[Sequence[str] | None, tuple[Path, ...], InputConfig], list[str]],
     more: Mapping[str, object] = MappingProxyType({}),
 ) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
     """Return the bags and each vehicle's configuration: of a fleet file, or of bags with one configuration for all.
 
     Args:
         args: inputs, and what `add_configuration` declares.
-        vehicles: returns the names of the vehicles of bags.
+        vehicles: returns those of bags, by name, from what `--vehicles` names.
         more: settings that the verb's other options stand for, by dotted name.
 
     Raises:
@@ -64,7 +64,7 @@ def bags_and_configs(
         return fleet.replay.bags, fleet.vehicles
     bags = tuple(args.inputs)
     config = load_vehicle(find_config(args.config) if args.config else None, overrides=changed)
-    return bags, dict.fromkeys(vehicles(bags, config.input), config)
+    return bags, dict.fromkeys(vehicles(args.vehicles, bags, config.input), config)
 
 
 def open_flights(bags: Sequence[Path], configs: Mapping[str, VehicleConfig]) -> dict[str, BagFlight]:

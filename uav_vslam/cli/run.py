@@ -132,7 +132,7 @@ def configured(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Ve
     more = {"fusion.mode": args.mode} if args.mode else {}
     if args.map is not None:
         more |= {"start.method": "map", "start.map": str(args.map.resolve())}
-    bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
+    bags, configs = bags_and_configs(args, _vehicles, more)
     warn_each(text for config in configs.values() for text in idle_settings(config).values())
     if apart := separate_maps(configs):
         warn(apart)
