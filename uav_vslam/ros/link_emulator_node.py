@@ -76,19 +76,8 @@ class LinkEmulatorNode(Node):
         self.get_logger().info(f"{len(self._links)} links: {config}")
 
     def _listen(self, topic: str, callback: Callable[[bytes], None]) -> PeerInput:
-        wanted = RADIO["wideband"]
-        one = PeerInput(
-            message_type=LandmarkInformation,
-            topic=topic,
-            callback=callback,
-            qos=wanted,
-            stands_for=topic,
-            host=self,
-            wanted=wanted,
-            events=SubscriptionEventCallbacks(incompatible_qos=lambda _: None),  # handled by `follow`
-        )
-        one.subscribe(self)
-        return one
+        events = SubscriptionEventCallbacks(incompatible_qos=lambda _: None)  # handled by `follow`
+        return PeerInput.opened(self, topic, callback, RADIO["wideband"], events)
 
     def _on_packet(self, sender: str, data: bytes) -> None:
         now_ns = self.get_clock().now().nanoseconds

@@ -48,6 +48,20 @@ class PeerInput(Input):
     may_pause: bool = True  # peers come and go; the fusion's status reports them
     shared: bool = True  # whose packets they are, and of which session, the packets say themselves
 
+    @classmethod
+    def opened(
+        cls,
+        host: Node,
+        topic: str,
+        callback: Callable[[bytes], None],
+        wanted: QoSProfile,
+        events: SubscriptionEventCallbacks,
+    ) -> "PeerInput":
+        """Return the subscription of a topic's packets; the arguments are its attributes."""
+        one = cls(LandmarkInformation, topic, callback, wanted, topic, host=host, wanted=wanted, events=events)
+        one.subscribe(host)
+        return one
+
     def subscribe(self, node: Node) -> None:
         """Create the subscription; it receives serialised bytes, whose number is the size on the radio."""
         self.subscription = self.host.create_subscription(
@@ -186,18 +200,8 @@ class Radio:
             callback(packet_from_msg(decoded(data)), len(data))
 
         events = self._counters("deadline", "liveliness", "message_lost", "incompatible_qos", "matched", of=peer)
-        one = PeerInput(
-            message_type=LandmarkInformation,
-            topic=topic,
-            callback=self._node.guarded(topic, on_bytes),
-            qos=wanted,
-            stands_for=topic,
-            host=self._host,
-            wanted=wanted,
-            events=SubscriptionEventCallbacks(**events),
-        )
-        one.subscribe(self._host)
-        return one
+        guarded = self._node.guarded(topic, on_bytes)
+        return PeerInput.opened(self._host, topic, guarded, wanted, SubscriptionEventCallbacks(**events))
 
     def _counters(self, *events: str, of: str = "own") -> dict[str, Callable[[Any], None]]:
         """Return callbacks that count what the middleware reports, for the diagnostics."""
