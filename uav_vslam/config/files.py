@@ -11,6 +11,7 @@ Vehicles and links have ROS parameter files, which hold differences only and als
 An unknown key, a wrong type or a value out of range raises `ConfigError` that names the file, the key and the remedy.
 """
 
+import dataclasses
 import difflib
 import ipaddress
 import os
@@ -135,7 +136,9 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
         raise ConfigError(
             f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}"
         )
-    shared = {"fusion.mode": _mode(path, tree["mode"])} if "mode" in tree else {}
+    shared: dict[str, Any] = {}
+    if "mode" in tree:
+        shared["fusion.mode"] = build(FusionConfig, {"mode": tree["mode"]}, where=str(path)).mode
     shared |= _fleet_key(path, tree["fleet_key"]) if "fleet_key" in tree else {}
     vehicles = {
         name: load_vehicle(_vehicle_file(path, name, entry), overrides={**shared, **(overrides or {})})
@@ -193,11 +196,6 @@ def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:
     return path.parent / entry["config"] if entry.get("config") else None
 
 
-def _mode(path: Path, value: object) -> str:
-    """Return a fleet file's communication mode."""
-    return build(FusionConfig, {"mode": value}, where=str(path)).mode
-
-
 def _section(path: Path, tree: Mapping[Any, Any], name: str) -> dict[str, Any]:
     """Return the keys and values of a part of a fleet file."""
     values = tree.get(name) or {}
@@ -230,8 +228,7 @@ def _addresses(path: Path, entries: Mapping[str, Any]) -> dict[str, str]:
 
 def _replay(path: Path, values: dict[str, Any]) -> ReplayConfig:
     replay = build(ReplayConfig, values, where=f"{path}: replay")
-    bags = tuple(path.parent / bag for bag in replay.bags)
-    return ReplayConfig(bags, replay.rate, replay.timeout_s)
+    return dataclasses.replace(replay, bags=tuple(path.parent / bag for bag in replay.bags))
 
 
 def _reject_unknown(keys: Iterable[Any], known: set[str], *, where: str, prefix: str) -> None:
