@@ -12,6 +12,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point,
+    PoseWithCovariance,
     PoseWithCovarianceStamped,
     Quaternion,
     TransformStamped,
@@ -217,10 +218,8 @@ def navigation_from_msg(message: NavigationState) -> NavEstimate:
 
 def odometry_to_msg(pose: PoseEstimate, twist: TwistWithCovariance, *, frame_id: str, child_frame_id: str) -> Odometry:
     """Return nav_msgs/Odometry: the pose in `frame_id`, the twist in the body frame, as the message defines."""
-    message = Odometry(header=header(pose.stamp_ns, frame_id), child_frame_id=child_frame_id, twist=twist)
-    message.pose.pose = pose_to_msg(pose.T_map_body)
-    message.pose.covariance = pose.covariance.ravel()
-    return message
+    stamped = header(pose.stamp_ns, frame_id)
+    return Odometry(header=stamped, child_frame_id=child_frame_id, pose=_with_covariance(pose), twist=twist)
 
 
 def twist_to_msg(twist: Twist) -> TwistWithCovariance:
@@ -232,10 +231,11 @@ def twist_to_msg(twist: Twist) -> TwistWithCovariance:
 
 def pose_with_covariance_to_msg(pose: PoseEstimate, *, frame_id: str) -> PoseWithCovarianceStamped:
     """Return geometry_msgs/PoseWithCovarianceStamped."""
-    message = PoseWithCovarianceStamped(header=header(pose.stamp_ns, frame_id))
-    message.pose.pose = pose_to_msg(pose.T_map_body)
-    message.pose.covariance = pose.covariance.ravel()
-    return message
+    return PoseWithCovarianceStamped(header=header(pose.stamp_ns, frame_id), pose=_with_covariance(pose))
+
+
+def _with_covariance(pose: PoseEstimate) -> PoseWithCovariance:
+    return PoseWithCovariance(pose=pose_to_msg(pose.T_map_body), covariance=pose.covariance.ravel())
 
 
 def odometry_from_msg(message: Odometry) -> PoseEstimate:
