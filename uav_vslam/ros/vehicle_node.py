@@ -272,9 +272,13 @@ class VehicleNode(PausableNode):
         waiting += [] if self._startup.lasts() else self._awaited()
         if waiting:  # one line for all: the throttle counts lines of code, not texts
             self.get_logger().warning(f"waiting for {', '.join(waiting)}", throttle_duration_sec=20.0)
-        pauses = stopped(self._inputs, time.monotonic())
-        if pauses:
-            self.get_logger().warning(_pauses_text(pauses), throttle_duration_sec=20.0)
+        if stops := self._stops():
+            self.get_logger().warning(stops[0], throttle_duration_sec=20.0)
+
+    def _stops(self) -> list[str]:
+        """Return which streams have stopped, and for how long, in a line; none if none has."""
+        pauses = [f"{topic} for {pause_s:.0f} s" for topic, pause_s in stopped(self._inputs, time.monotonic()).items()]
+        return [f"no more messages from {', '.join(pauses)}"] if pauses else []
 
     def _health(self) -> tuple[bytes, str]:
         """Return the level and the text of the node's status: failures first, then what most explains the rest."""
@@ -282,8 +286,7 @@ class VehicleNode(PausableNode):
         why = {topic: mismatch(self._inputs, topic, self) for topic in silent(self._inputs)}
         awaited = [f"{topic} ({text})" if text else topic for topic, text in why.items()]
         missing, drops = ", ".join([*clock, *awaited]), self._recent_drops.next_report(self.counts)
-        pauses = stopped(self._inputs, time.monotonic())
-        stops = [_pauses_text(pauses)] if pauses else []
+        stops = self._stops()
         if self.paused:
             return DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
         if self.failures:
@@ -308,7 +311,3 @@ class VehicleNode(PausableNode):
         self._diagnostics.publish(
             status_message(name, values, level=level, text=text, vehicle=self.vehicle, stamp=stamp)
         )
-
-
-def _pauses_text(pauses: dict[str, float]) -> str:
-    return "no more messages from " + ", ".join(f"{topic} for {pause_s:.0f} s" for topic, pause_s in pauses.items())
