@@ -38,46 +38,41 @@ class RigListener:
     Where calibration files hold all, it is complete from the start, and nothing is called.
     Topics are not ordered among each other: images may arrive before their calibration.
     A calibration that changes afterwards is a failure of the node, and used only after `restart`.
+
+    Attributes:
+        setup: what was received.
+        rig: the one in use.
     """
 
     def __init__(self, node: VehicleNode, on_complete: Callable[[], None] = lambda: None) -> None:
         self._node, self._on_complete = node, on_complete
-        self._setup = SensorSetup.of(node.vehicle, node.config.input)
+        self.setup = SensorSetup.of(node.vehicle, node.config.input)
         self._received: dict[str, tuple[object, ...]] = {}  # by each camera's newest camera_info
-        if self._setup.needs_infos:
+        if self.setup.needs_infos:
             for side in SIDES:
                 topic = getattr(node.config.input.topics, f"{side}_info")
                 node.listen(CameraInfo, topic, partial(self._on_camera, side), STATE)
-        if self._setup.needs_frames:
+        if self.setup.needs_frames:
             node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
         self.rig = self._assembled()
-
-    @property
-    def time_offset_ns(self) -> int:
-        """IMU time minus image stamp [ns]."""
-        return self._setup.time_offset_ns
 
     @property
     def missing(self) -> str:
         """Reason for the missing rig, in words; empty once it is complete."""
         if self.rig is not None:
             return ""
-        if sides := self._setup.missing_infos:
+        if sides := self.setup.missing_infos:
             return f"there is no valid camera_info of the {' and the '.join(sides)} camera"
-        return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; {PUBLISH}{_likely_base(self._setup)}"
+        return f"/tf_static has no {', '.join(self.setup.missing_transforms())}; {PUBLISH}{_likely_base(self.setup)}"
 
     @property
     def lens_doubt(self) -> str:
         """Why points would be undistorted twice, or not at all, by the images' names; empty if they would not."""
-        return self._setup.rectified_twice or self._setup.never_rectified
-
-    def conflict(self, frame: str) -> str:
-        """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""
-        return self._setup.conflict(frame)
+        return self.setup.rectified_twice or self.setup.never_rectified
 
     def left_frame(self, of_images: str) -> str:
         """Return the frame of the left camera; where nothing else names it, that of its images."""
-        return (self._setup.camera_frame("left") or of_images).lstrip("/")
+        return (self.setup.camera_frame("left") or of_images).lstrip("/")
 
     def restart(self) -> None:
         """Use the newest calibration, if it can be used."""
@@ -87,17 +82,17 @@ class RigListener:
 
     def _on_camera(self, side: str, message: CameraInfo) -> None:
         content = _content(message)
-        if self._received.get(side) == content and side in self._setup.cameras:
+        if self._received.get(side) == content and side in self.setup.cameras:
             return
         try:
-            self._setup.add_camera(side, message)
+            self.setup.add_camera(side, message)
         except CalibrationError as error:
             raise InvalidMessage("calibration", str(error)) from None
         self._received[side] = content
         self._follow()
 
     def _on_transforms(self, message: TFMessage) -> None:
-        self._setup.frames.add(_valid_edges(self._node, message))
+        self.setup.frames.add(_valid_edges(self._node, message))
         self._follow()
 
     def _follow(self) -> None:
@@ -114,19 +109,19 @@ class RigListener:
 
     def _fault(self, used: StereoRig) -> str:
         """Return how the newest calibration differs from the one in use, in a line; empty if it does not."""
-        if self._setup.missing_infos:
+        if self.setup.missing_infos:
             return ""
         try:
-            changes = _changes(used, self._setup.rig())
+            changes = _changes(used, self.setup.rig())
         except CalibrationError as error:
             return f"the calibration has changed to one that can't be used: {error}"
         return f"the calibration has changed and is used only after a reset of all nodes: {changes}" if changes else ""
 
     def _newest(self) -> StereoRig | None:
-        if self._setup.missing_infos or self._setup.missing_transforms():
+        if self.setup.missing_infos or self.setup.missing_transforms():
             return None
         try:
-            return self._setup.rig()
+            return self.setup.rig()
         except CalibrationError:
             return None
 
@@ -136,17 +131,17 @@ class RigListener:
         Raises:
             InvalidMessage: what was received can't be one.
         """
-        if self._setup.missing_infos:
+        if self.setup.missing_infos:
             return None
-        missing = self._setup.missing_transforms()
+        missing = self.setup.missing_transforms()
         if missing:
             self._node.notes[MISSING] = f"/tf_static has no {', '.join(missing)}"
             return None
         self._node.notes.pop(MISSING, None)
         try:
-            rig = self._setup.rig()
+            rig = self.setup.rig()
         except CalibrationError as error:
-            self._setup.cameras.clear()  # later ones may be valid
+            self.setup.cameras.clear()  # later ones may be valid
             raise InvalidMessage("calibration", str(error)) from None
         self._node.get_logger().info(f"rig complete: baseline {rig.baseline_m:.3f} m")
         return rig
@@ -196,6 +191,9 @@ class ImuListener:
     """Finds out where the IMU is; readings wait until then.
 
     A place that changes afterwards is a failure of the node, and used only after `restart`.
+
+    Attributes:
+        setup: what was received.
     """
 
     def __init__(self, node: VehicleNode, on_reading: Callable[[ImuSample], None], group: CallbackGroup) -> None:
@@ -207,24 +205,14 @@ class ImuListener:
             group: of the readings.
         """
         self._node, self._on_reading = node, on_reading
-        self._setup = SensorSetup.of(node.vehicle, node.config.input)
+        self.setup = SensorSetup.of(node.vehicle, node.config.input)
         self._mounting: ImuMounting | None = None
         self._used = Pose.identity()  # pose in the body, if there is a mounting
         self._frame = ""  # of the newest reading
         self._waiting: deque[ImuSample] = deque()
         self._readings = node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR, raw=True, group=group)
-        if self._setup.needs_imu_frame:
+        if self.setup.needs_imu_frame:
             node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
-
-    @property
-    def time_offset_ns(self) -> int:
-        """IMU time minus image stamp [ns]."""
-        return self._setup.time_offset_ns
-
-    @property
-    def has_infos(self) -> bool:
-        """Whether camera_info is expected: if the calibration files hold all, cameras need not publish it."""
-        return self._setup.needs_infos
 
     def restart(self) -> None:
         """Find out again where the IMU is."""
@@ -236,14 +224,6 @@ class ImuListener:
         """Take the readings that wait."""
         self._readings.take_waiting(self._node)
 
-    def conflict(self, frame: str) -> str:
-        """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""
-        return self._setup.conflict(frame)
-
-    def unplaced(self, frame: str) -> str:
-        """Return why nothing tells whether a start state of a frame is one of the body, as `SensorSetup.unplaced`."""
-        return self._setup.unplaced(frame)
-
     def _on_imu(self, data: bytes) -> None:
         reading, frame = imu_from_data(data)
         if self._mounting is not None:
@@ -251,20 +231,20 @@ class ImuListener:
                 self._report_frame(frame)
             self._on_reading(self._mounting.to_body(reading))
             return
-        self._setup.imu_frame = self._frame = frame
+        self.setup.imu_frame = self._frame = frame
         self._waiting.append(reading)
         self._locate()
 
     def _report_frame(self, frame: str) -> None:
         """Warn of readings of another frame than the first ones'."""
         self._frame = frame
-        was = self._setup.imu_frame
+        was = self.setup.imu_frame
         text = f"IMU readings are of {frame or 'no frame'} now, and taken for those of {was or 'no frame'} as before"
         self._node.report_alarm("imu_frame", text if frame != was else "")
         self._node.get_logger().warning(text)
 
     def _on_transforms(self, message: TFMessage) -> None:
-        self._setup.frames.add(_valid_edges(self._node, message))  # in flight too: start states may be of any frame
+        self.setup.frames.add(_valid_edges(self._node, message))  # in flight too: start states may be of any frame
         if self._mounting is not None:
             self._node.report_failure(CHANGED, self._fault())
         elif self._waiting:
@@ -273,7 +253,7 @@ class ImuListener:
     def _fault(self) -> str:
         """Return how the newest place of the IMU differs from the one in use, in a line; empty if it does not."""
         try:
-            place = self._setup.T_body_imu()
+            place = self.setup.T_body_imu()
         except CalibrationError as error:
             return f"the place of the IMU has changed to one that can't be used: {error}"
         if np.allclose(place.matrix, self._used.matrix, atol=SAME_PLACE):
@@ -291,11 +271,11 @@ class ImuListener:
         Raises:
             InvalidMessage: it is not, and the oldest reading is dropped.
         """
-        missing = ", ".join(self._setup.missing_imu_transforms())
+        missing = ", ".join(self.setup.missing_imu_transforms())
         if missing:
             self._node.notes[MISSING] = f"/tf_static has no {missing}"
             too_many = len(self._waiting) > MAX_WAITING
-            text = f"/tf_static has no {missing}, the IMU's frame; {PUBLISH}{_likely_base(self._setup)}"
+            text = f"/tf_static has no {missing}, the IMU's frame; {PUBLISH}{_likely_base(self.setup)}"
             if too_many or self._waiting[-1].stamp_ns - self._waiting[0].stamp_ns > LATE_S * NS_PER_S:
                 self._node.report_failure(MISSING, text)
             if too_many:
@@ -304,9 +284,9 @@ class ImuListener:
             return
         self._node.notes.pop(MISSING, None)
         self._node.failures.pop(MISSING, None)
-        if self._setup.imu_unnamed:
+        if self.setup.imu_unnamed:
             self._node.get_logger().warning("IMU messages have no frame_id: the IMU counts as the body")
-        self._used = self._setup.T_body_imu()
+        self._used = self.setup.T_body_imu()
         self._mounting = ImuMounting(self._used)
         while self._waiting:
             try:

@@ -85,7 +85,7 @@ class InsPropagatorNode(VehicleNode):
     def _stamped_topics(self) -> list[tuple[type, str, QoSProfile, str]]:
         """Return type, name, QoS and the topic it stands for, of what has the images' stamps."""
         topics = self.config.input.topics
-        if self._sensors.has_infos:
+        if self._sensors.setup.needs_infos:
             return [(CameraInfo, topics.left_info, STAMPS, topics.left_info)]
         return [(kind, name, IMAGE, topics.left) for kind, name in image_topics(self, topics.left).items()]
 
@@ -147,7 +147,7 @@ class InsPropagatorNode(VehicleNode):
         self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
 
     def _on_stamped(self, data: bytes) -> None:
-        stamp_ns = header_stamp_ns(data) + self._sensors.time_offset_ns
+        stamp_ns = header_stamp_ns(data) + self._sensors.setup.time_offset_ns
         if stamp_ns != self._image_ns:  # the same image raw and compressed
             if not self._in_batch:
                 self._take()
@@ -178,12 +178,12 @@ class InsPropagatorNode(VehicleNode):
         waits = ahead_s is not None and ahead_s > MAX_APART_S
         early = f"no start yet: initial_state is stamped {ahead_s:.1f} s after the newest IMU sample" if waits else ""
         self.report_alarm("start_ahead", early, logged=True)
-        found = self._pending_start.confirmed(self._sensors.conflict)
+        found = self._pending_start.confirmed(self._sensors.setup.conflict)
         if isinstance(found, Refusal):
             self.drop(found.reason, found.text)
             self.alarms["start"] = f"no start: {found.text}"
         elif found is not None:
-            unplaced = self._sensors.unplaced(self._pending_start.frame)
+            unplaced = self._sensors.setup.unplaced(self._pending_start.frame)
             self.report_alarm("start_frame", f"initial_state {unplaced}" if unplaced else "", logged=True)
             self._start(found)
 

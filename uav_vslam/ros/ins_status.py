@@ -75,7 +75,7 @@ class InsStatus:
         if self._image_came_ns is None or reading_ns - max(self._image_came_ns, self._first_ns) <= SILENT_NS:
             self._node.alarms.pop("images", None)
         elif "images" not in self._node.alarms:
-            topics, has_infos = self._node.config.input.topics, self._sensors.has_infos
+            topics, has_infos = self._node.config.input.topics, self._sensors.setup.needs_infos
             instead = "; a file with the calibration can replace it (input.calibration)" if has_infos else ""
             text = (
                 f"{topics.left_info if has_infos else topics.left} has brought no new stamp for "

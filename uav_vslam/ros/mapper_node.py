@@ -119,7 +119,7 @@ class MapperNode(VehicleNode):
         self._map.close()
 
     def _on_image(self, message: Image | CompressedImage) -> None:
-        self._images.add(stamp_ns_of(message) + self._rig.time_offset_ns, image_from_msg(message))
+        self._images.add(stamp_ns_of(message) + self._rig.setup.time_offset_ns, image_from_msg(message))
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         if self._rig.rig is None:

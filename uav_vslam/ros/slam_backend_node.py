@@ -150,7 +150,7 @@ class SlamBackendNode(VehicleNode):
         """Return why the start state that the first frame would use is not one of the body; empty if it is."""
         given, frame = self._given or (None, "")
         is_next = given is not None and self._stage.initial is given and self._stage.nav is None
-        return self._rig.conflict(frame) if is_next else ""
+        return self._rig.setup.conflict(frame) if is_next else ""
 
     def _on_increment(self, message: InsIncrement) -> None:
         self._follow(self._clocked.add_increment(increment_from_msg(message)))

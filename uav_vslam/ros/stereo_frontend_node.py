@@ -111,7 +111,7 @@ class StereoFrontendNode(VehicleNode):
         self._alone = 0
         self.counts["pairs"] += 1
         self.notes["pair_offset"] = f"{self._pairer.offset_ns / 1e6:.1f} of {self._pairer.tolerance_ns / 1e6:.1f} ms"
-        self._waiting.append(StereoFrame(pair.stamp_ns + self._rig.time_offset_ns, pair.left, pair.right))
+        self._waiting.append(StereoFrame(pair.stamp_ns + self._rig.setup.time_offset_ns, pair.left, pair.right))
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
             text = f"image pairs arrive, but {self._rig.missing}"
