@@ -27,7 +27,7 @@ from uav_vslam.cooperation.point_pairs import (
 from uav_vslam.cooperation.two_point import GATE, Hypotheses, gated, hypotheses
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.numerics import inverse_spd, mahalanobis2, symmetrise
+from uav_vslam.numerics import inverse_spd, mahalanobis2, submatrix, symmetrise
 
 Array = NDArray[np.float64]
 
@@ -150,9 +150,8 @@ def _consistent(pairs: PointPairs, T_own_peer: Pose) -> Rows:
         if distance2[worst] <= GATE:
             break
         gone, kept = landmark_rows(0, k[worst : worst + 1]), landmark_rows(0, np.delete(k, worst))
-        B = symmetrise(
-            B[np.ix_(kept, kept)] - B[np.ix_(kept, gone)] @ np.linalg.solve(own[worst], B[np.ix_(gone, kept)])
-        )
+        gain = np.linalg.solve(own[worst], submatrix(B, gone, kept))
+        B = symmetrise(submatrix(B, kept) - submatrix(B, kept, gone) @ gain)
         rows = np.delete(rows, worst)
     return rows
 

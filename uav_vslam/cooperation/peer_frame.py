@@ -18,6 +18,7 @@ from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.cooperation.unknown_frame import FrameEstimate, UnknownFramePacket, eliminate_frame
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
+from uav_vslam.numerics import submatrix
 from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
@@ -92,12 +93,11 @@ class CommonFrame:
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> CommonFramePacket:
         """See `PeerFrame`."""
-        rows = landmark_rows(0, pairs[:, 1])
         evidence = Evidence.of_landmarks(
             positions,
             pairs[:, 0],
             packet.positions[pairs[:, 1]],
-            packet.covariance[np.ix_(rows, rows)],
+            submatrix(packet.covariance, landmark_rows(0, pairs[:, 1])),
             floor_sigma_m=self._config.floor_sigma_m,
             dependent=dependent,
         )

@@ -16,6 +16,7 @@ from uav_vslam.cooperation.received_map import PeerLandmarks
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
+from uav_vslam.numerics import submatrix
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -45,12 +46,11 @@ class PointPairs:
     @staticmethod
     def of(own: OwnLandmarks, packet: PeerLandmarks, pairs: Rows, floor_sigma_m: float) -> "PointPairs":
         """Select (K, 2) rows of own landmarks and of a packet's."""
-        own_rows, peer_rows = landmark_rows(0, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
         return PointPairs(
             own.positions[pairs[:, 0]],
             packet.positions[pairs[:, 1]],
-            own.covariance[np.ix_(own_rows, own_rows)],
-            packet.covariance[np.ix_(peer_rows, peer_rows)],
+            submatrix(own.covariance, landmark_rows(0, pairs[:, 0])),
+            submatrix(packet.covariance, landmark_rows(0, pairs[:, 1])),
             floor_sigma_m,
         )
 
@@ -68,8 +68,8 @@ class PointPairs:
         return PointPairs(
             self.own[rows],
             self.peer[rows],
-            self.own_covariance[np.ix_(k, k)],
-            self.peer_covariance[np.ix_(k, k)],
+            submatrix(self.own_covariance, k),
+            submatrix(self.peer_covariance, k),
             self.floor_sigma_m,
         )
 

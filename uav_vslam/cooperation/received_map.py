@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.numerics import submatrix
 from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
@@ -45,11 +46,10 @@ def updated_map(packet: LandmarkPacket, before: ReceivedMap | None) -> ReceivedM
     if before is None or _kind(before) != _kind(packet):
         before = ReceivedMap(packet.ids[:0], np.zeros((0, 3)), np.zeros((0, 0)), packet.descriptors[:0], 0)
     old = np.flatnonzero(~np.isin(before.ids, packet.ids))[: max(RECEIVED_LANDMARKS - len(packet), 0)]
-    coordinates = landmark_rows(0, old)
     return ReceivedMap(
         ids=np.concatenate([packet.ids, before.ids[old]]),
         positions=np.vstack([packet.positions, before.positions[old]]),
-        covariance=block_diag(packet.covariance, before.covariance[np.ix_(coordinates, coordinates)]),
+        covariance=block_diag(packet.covariance, submatrix(before.covariance, landmark_rows(0, old))),
         descriptors=np.vstack([packet.descriptors, before.descriptors[old]]),
         descriptor_basis=packet.descriptor_basis,
     )

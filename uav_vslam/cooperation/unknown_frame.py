@@ -25,7 +25,7 @@ from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.numerics import inverse_spd, symmetrise
+from uav_vslam.numerics import inverse_spd, submatrix, symmetrise
 from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
@@ -90,12 +90,12 @@ def eliminate_frame(
         floor_sigma_m: of each pair: two detections are never of exactly the same point [m].
         dependent: as of `Evidence`.
     """
-    rows, peer = landmark_rows(0, pairs[:, 1]), packet.positions[pairs[:, 1]]
+    peer = packet.positions[pairs[:, 1]]
     whole = Evidence.of_landmarks(
         positions,
         pairs[:, 0],
         T_own_peer.apply(peer),
-        rotated(packet.covariance[np.ix_(rows, rows)], T_own_peer.R),
+        rotated(submatrix(packet.covariance, landmark_rows(0, pairs[:, 1])), T_own_peer.R),
         floor_sigma_m=floor_sigma_m,
         dependent=dependent,
     )
