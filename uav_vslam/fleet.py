@@ -10,6 +10,7 @@ import itertools
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -95,16 +96,13 @@ class Fleet:
         """
         self._goes_on = goes_on
         self.members: dict[str, CooperativeTrack] = {}
-        self._air = Air(
-            vehicles,
-            links,
-            lambda packet: on_packet(self.members[packet.vehicle].fusion, packet, payload_bytes(packet)),
-        )
+        self._air = Air(vehicles, links)
         for name in vehicles:
             settings = configs[name].fusion
             loaded = load_map(configs[name].start.map) if configs[name].start.map else None
             fusion, peers = Fusion(name, settings, loaded), [peer for peer in vehicles if peer != name]
-            exchange = Exchange(fusion, peers, LinkTransport(self._air, name), settings)
+            transport = LinkTransport(self._air, name, partial(on_packet, fusion))
+            exchange = Exchange(fusion, peers, transport, settings)
             self.members[name] = CooperativeTrack(fusion, exchange)
             exchange.configure(settings)
 
@@ -200,22 +198,10 @@ class Air:
         now_ns: time of the last delivery.
     """
 
-    def __init__(
-        self,
-        vehicles: Iterable[str],
-        links: Callable[[str, str], PacketLink] | None = None,
-        on_sent: Callable[[LandmarkPacket], None] = lambda _: None,
-    ) -> None:
-        """Prepare.
-
-        Args:
-            vehicles: their names.
-            links: makes the link from a sender to a receiver; without it packets arrive at once.
-            on_sent: called with each vehicle's own packets.
-        """
+    def __init__(self, vehicles: Iterable[str], links: Callable[[str, str], PacketLink] | None = None) -> None:
+        """Make a link from each vehicle to each other by `links`; without it packets arrive at once."""
         self.receivers: dict[str, Receiver] = {}
         self.now_ns = 0
-        self.on_sent = on_sent
         self._links = {
             pair: links(*pair) if links else Link(LinkConfig()) for pair in itertools.permutations(vehicles, 2)
         }
@@ -244,8 +230,11 @@ class LinkTransport:
 
     copies = expected_copies = 1
 
-    def __init__(self, air: Air, vehicle: str) -> None:
-        self._air, self._vehicle = air, vehicle
+    def __init__(
+        self, air: Air, vehicle: str, on_packet: Callable[[LandmarkPacket, int], None] = lambda *_: None
+    ) -> None:
+        """Join; `on_packet` is called with each own packet sent and its size [byte]."""
+        self._air, self._vehicle, self._on_packet = air, vehicle, on_packet
 
     @property
     def now_ns(self) -> int:
@@ -259,7 +248,7 @@ class LinkTransport:
     def send(self, packet: LandmarkPacket, to: Collection[str]) -> None:
         """Send a packet over the links to some peers."""
         if packet.vehicle == self._vehicle:
-            self._air.on_sent(packet)
+            self._on_packet(packet, payload_bytes(packet))
         for peer in to:
             self._air.send(self._vehicle, peer, Sent(packet))
 
