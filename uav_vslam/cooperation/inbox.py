@@ -49,6 +49,7 @@ class PeerRecord:
     """The packets and counts of one peer.
 
     Attributes:
+        sessions: which of its sessions counts.
         packets: kept ones of the session that counts, with landmarks, by order.
         arrived: the same and those without.
         received: all that arrived in its name.
@@ -58,9 +59,9 @@ class PeerRecord:
         unused: kept ones that were not used so far, by order: why they will have been dropped if they never are.
         dropped: those that will never be used, by reason.
         common_landmarks: shared at the last epoch.
-        sessions: which of its sessions counts.
     """
 
+    sessions: Sessions
     packets: list[LandmarkPacket] = field(default_factory=list)
     arrived: list[LandmarkPacket] = field(default_factory=list)
     received: int = 0
@@ -70,12 +71,11 @@ class PeerRecord:
     unused: dict[tuple[int, int], str] = field(default_factory=dict)
     dropped: Counter[str] = field(default_factory=Counter)
     common_landmarks: int = 0
-    sessions: Sessions | None = None
 
     @property
     def ahead_ns(self) -> int:
         """How far the peer's clock counts as ahead of the own one [ns]."""
-        return (self.sessions and self.sessions.ahead_ns) or 0
+        return self.sessions.ahead_ns or 0
 
     @property
     def waiting(self) -> int:
@@ -151,9 +151,8 @@ class Inbox:
     def advance(self, now_ns: int, session: int) -> None:
         """Set the time and the own session: those of the epoch that is to be fused."""
         if self._epoch_ns <= now_ns < self.now_ns:  # the epochs go on behind the clock: it has not been set back
-            for sessions in (record.sessions for record in self.peers.values()):
-                if sessions is not None:
-                    sessions.received_ns = min(sessions.received_ns, now_ns)
+            for record in self.peers.values():
+                record.sessions.received_ns = min(record.sessions.received_ns, now_ns)
         self.now_ns = self._epoch_ns = now_ns
         self._clock_ns = None
         if self._own is None or self._own[0] != session:
@@ -181,7 +180,7 @@ class Inbox:
         record = self.peers.get(packet.vehicle)
         try:
             self._check(packet)
-            record = record or self._new_record(packet.vehicle)
+            record = record or self._new_record(packet)
             self._enter(packet, record)
         except InvalidMessage as error:
             if record is None:
@@ -201,11 +200,11 @@ class Inbox:
 
     def silent_s(self, peer: str) -> float:
         """Return the own time without a packet of a peer's session that counts, since the own start at most [s]."""
-        sessions = self.peers[peer].sessions
-        if self._own is None or sessions is None:
+        if self._own is None:
             return 0.0
-        was_heard = self._own[1] <= sessions.received_ns <= self.now_ns
-        return (self.now_ns - (sessions.received_ns if was_heard else self._own[1])) / NS_PER_S
+        received_ns = self.peers[peer].sessions.received_ns
+        was_heard = self._own[1] <= received_ns <= self.now_ns
+        return (self.now_ns - (received_ns if was_heard else self._own[1])) / NS_PER_S
 
     def _check(self, packet: LandmarkPacket) -> None:
         if packet.vehicle == self._vehicle and (self._own is None or packet.session == self._own[0]):
@@ -240,16 +239,15 @@ class Inbox:
 
     def _enter(self, packet: LandmarkPacket, record: PeerRecord) -> None:
         """Refuse a packet that was received before, superseded or withdrawn, or of a time that can't be."""
-        if record.sessions is None:
-            record.sessions = Sessions(packet.session, packet.stamp_ns, self.now_ns)
         if record.sessions.add(packet, self.now_ns, proven=self._authentication.tag_bytes > 0):
             record.withdraw()
         _check_order(packet, record.arrived)
 
-    def _new_record(self, vehicle: str) -> PeerRecord:
+    def _new_record(self, packet: LandmarkPacket) -> PeerRecord:
         if len(self.peers) >= MAX_PEERS:
-            raise InvalidMessage("too_many_peers", f"{vehicle!r} would be peer {MAX_PEERS + 1}")
-        return self.peers.setdefault(vehicle, PeerRecord())
+            raise InvalidMessage("too_many_peers", f"{packet.vehicle!r} would be peer {MAX_PEERS + 1}")
+        sessions = Sessions(packet.session, packet.stamp_ns, self.now_ns)
+        return self.peers.setdefault(packet.vehicle, PeerRecord(sessions))
 
 
 def _keep(packet: LandmarkPacket, among: list[LandmarkPacket], now_ns: int) -> None:

@@ -9,8 +9,8 @@ def peer_faults(inbox: Inbox) -> dict[str, str]:
     """Return each current fault of a peer in a line, by subject."""
     faults = {f"keys/{peer}": text for peer, text in sorted(inbox.key_faults.items())}
     for peer, record in sorted(inbox.peers.items()):
-        other = record.sessions.contradicting(inbox.now_ns) if record.sessions else None
-        if record.sessions and other is not None:
+        other = record.sessions.contradicting(inbox.now_ns)
+        if other is not None:
             faults[f"session/{peer}"] = (
                 f"{peer} sends in two sessions at once, {record.sessions.current} and {other}: two vehicles have that "
                 f"name, or packets are forged; session {record.sessions.current} is used"
