@@ -5,7 +5,7 @@ T_own_peer is a rotation about the vertical and a translation. Its error is (4,)
 map frame: t + dt, R_z(dyaw) R. So T_own_peer l moves by dt + dyaw z x (R l).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,13 +91,8 @@ class PointPairs:
 
     def relative(self) -> "PointPairs":
         """Return the pairs with relative covariances: each map's common translation and yaw removed."""
-        return PointPairs(
-            self.own,
-            self.peer,
-            _inner(self.own_covariance, self.own),
-            _inner(self.peer_covariance, self.peer),
-            self.floor_sigma_m,
-        )
+        own, peer = _inner(self.own_covariance, self.own), _inner(self.peer_covariance, self.peer)
+        return replace(self, own_covariance=own, peer_covariance=peer)
 
 
 def rotated(covariance: Array, R: Array) -> Array:
