@@ -10,6 +10,7 @@ its INS, which can't answer yet, has `EARLY_PERIOD_S` of real time for each fram
 Messages whose stamps leave the time line are not waited for: the graph holds them until the jump is confirmed.
 """
 
+import itertools
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -69,7 +70,7 @@ class LockStep:
 
     def _choose(self, source: Iterator[Recorded]) -> Recorded | None:
         if not self._held:
-            self._held.extend(_take_one(source))
+            self._held.extend(itertools.islice(source, 1))
         if self._held and self._may_publish(self._held[0]):
             return self._held.popleft()
         if starved := self._starved():
@@ -104,11 +105,11 @@ class LockStep:
                 return message
         limit_ns = min(stamp_ns for _, stamp_ns in starved) + IMU_GAP_NS
         while not self._held or self._held[-1].stamp_ns <= limit_ns:
-            if not (taken := _take_one(source)):
+            if (taken := next(source, None)) is None:
                 break
-            self._held.extend(taken)
-            if taken[0].kind is Kind.IMU and taken[0].vehicle in vehicles:
-                return self._held.pop() if self._may_publish(taken[0]) else None
+            self._held.append(taken)
+            if taken.kind is Kind.IMU and taken.vehicle in vehicles:
+                return self._held.pop() if self._may_publish(taken) else None
         for frame in starved:  # there is no such sample, or none within the look-ahead
             self._answers.discard(*frame)
         return None
@@ -156,8 +157,3 @@ def step_s(rate: float) -> float:
     Most of 200 looks a second find nothing at a tenth of real time, and cost a tenth of a core.
     """
     return min(STEP_S / rate, LONGEST_STEP_S) if 0.0 < rate < 1.0 else STEP_S
-
-
-def _take_one(source: Iterator[Recorded]) -> list[Recorded]:
-    message = next(source, None)
-    return [] if message is None else [message]
