@@ -6,7 +6,6 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uav_vslam.config.nodes import NODES, VehicleNodeConfig
 from uav_vslam.ros.fleet_commands import NodeSpec
 
 PACKAGE = "uav_vslam"
@@ -38,8 +37,7 @@ def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     name = f"{spec.namespace}/{spec.executable}".strip("/")
     argv = [*find_executable(spec.executable), *spec.ros_arguments()]
     argv += ["--log-level", log_level] if log_level else []
-    of_vehicle = spec.executable in NODES and issubclass(NODES[spec.executable].own, VehicleNodeConfig)
-    resume = ("-p", "resume:=true") if of_vehicle else ()
+    resume = () if spec.namespace == "/" else ("-p", "resume:=true")
     leads, optional = spec.executable == "replay", spec.executable == "recorder"
     return Command(name, argv, leads, spec.environment, resume, optional)
 

@@ -143,7 +143,7 @@ def _replay_inputs(vehicles: Mapping[str, VehicleConfig]) -> dict[str, list[str]
 
 def without_parameter_services(spec: NodeSpec) -> NodeSpec:
     """Return a node whose parameters nobody can change in flight; nodes of the whole fleet stay as they are."""
-    if spec.executable not in (*VEHICLE_NODES, "mapper"):
+    if spec.namespace == "/":
         return spec
     return dataclasses.replace(spec, parameters=spec.parameters | {"parameter_services": False})
 
