@@ -197,17 +197,8 @@ class Filter(JointState):
 
     def _linearised_tracks_at(self, tracks: Tracks, delta: Array) -> LinearisedTracks:
         """Linearise tracks where (vehicle,) `delta` moves the mean."""
-        vehicle, T = self.mean.without_landmarks(), np.eye(self.vehicle)
-        moved = self._chart.retract(vehicle, delta)
-        T[:, ROTATION] -= self._chart.transport(vehicle, moved)
-
-        def back(points: Array, errors: Array) -> tuple[Array, Array]:
-            there = dataclasses.replace(moved, landmarks=points)
-            landmarks = self._chart.retract(there, np.concatenate([-T @ delta, errors.ravel()])).landmarks
-            here = dataclasses.replace(vehicle, landmarks=landmarks)
-            return landmarks, self._chart.transport(here, there)[self.vehicle :].reshape(-1, 3, 3)
-
-        return dataclasses.replace(self._linearised_tracks(tracks, moved), move=Move(delta, T, back))
+        move = Move.by(delta, self.mean.without_landmarks(), self._chart)
+        return dataclasses.replace(self._linearised_tracks(tracks, move.after), move=move)
 
     @property
     def has_tracks(self) -> bool:

@@ -16,11 +16,13 @@ other one, for e = 0, puts it; its error is transported with it, or a common rot
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import Indices, VehicleObservation
+from uav_vslam.estimation.mean import Chart, Mean
 from uav_vslam.estimation.track_consensus import WIDE
 from uav_vslam.estimation.tracks import TrackObservation
 from uav_vslam.ins.propagation import ROTATION
@@ -36,18 +38,38 @@ NONLINEAR = 1.0  # by which the squared residuals, over their noise, may exceed 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """From the filter's mean to another one.
+    """From the filter's mean, its landmarks left out, to another one.
 
     Attributes:
+        chart: of the errors about both.
+        before: the filter's mean.
+        after: the other one.
         delta: (vehicle,) correction.
         T: (vehicle, vehicle) see above.
-        back: moves (K, 3) points [m] by (K, 3) errors about the other mean to where they are at the filter's, and
-            returns them with what transports their errors from there, (K, 3, 3) of `Chart.transport`.
     """
 
+    chart: Chart
+    before: Mean
+    after: Mean
     delta: Array
     T: Array
-    back: Callable[[Array, Array], tuple[Array, Array]]
+
+    @classmethod
+    def by(cls, delta: Array, before: Mean, chart: Chart) -> Self:
+        """Return the move from a mean by a correction."""
+        after, T = chart.retract(before, delta), np.eye(len(delta))
+        T[:, ROTATION] -= chart.transport(before, after)
+        return cls(chart, before, after, delta, T)
+
+    def back(self, points: Array, errors: Array) -> tuple[Array, Array]:
+        """Return (K, 3) points, of (K, 3) errors about the other mean, where they are at the filter's [m].
+
+        The second value transports their errors from there to the other mean: (K, 3, 3), see `Chart.transport`.
+        """
+        there = dataclasses.replace(self.after, landmarks=points)
+        landmarks = self.chart.retract(there, np.concatenate([-self.T @ self.delta, errors.ravel()])).landmarks
+        here = dataclasses.replace(self.before, landmarks=landmarks)
+        return landmarks, self.chart.transport(here, there)[len(self.delta) :].reshape(-1, 3, 3)
 
 
 @dataclass(frozen=True, slots=True)
