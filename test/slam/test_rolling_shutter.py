@@ -223,7 +223,7 @@ def test_the_smoothed_flight_uses_the_same_points(flown) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "readout_s", "late_s"), [(1, 0.02, -0.02), (2, 0.018, -0.015)])
+@pytest.mark.parametrize(("seed", "readout_s", "late_s"), [(1, 0.02, -0.02), (7, 0.018, -0.015)])
 def test_a_readout_is_found_beside_an_offset_of_the_clock(flown, seed: int, readout_s: float, late_s: float) -> None:
     """With both the filter is lost before ten frames, and its velocities scatter what pairs of frames show of one."""
     flight = flown(seed, frames=60, tracked_px=PX, readout_s=readout_s)
@@ -232,5 +232,5 @@ def test_a_readout_is_found_beside_an_offset_of_the_clock(flown, seed: int, read
     assert outputs[-1].readout_s == pytest.approx(readout_s, abs=0.004)
     assert outputs[-1].report.time_offset.mean_s == pytest.approx(-late_s, abs=0.002)
     errors, nees = flight.errors_and_nees(outputs[12:])
-    assert errors[-1] < 3.0  # 40 m and 46 m where it is not found
+    assert errors[-1] < 3.0  # tens of metres where it is not found
     assert nees.mean() < 2.0
