@@ -223,6 +223,13 @@ def test_paths_in_a_vehicles_file_are_relative_to_it_and_overrides_to_the_workin
     assert load_vehicle(own, overrides={"start.map": "b.npz"}).start.map == "b.npz"
 
 
+@pytest.mark.parametrize("key", ["start: {map: %s}", "fusion: {fleet_key_file: %s}", "input: {calibration: [%s]}"])
+def test_a_path_below_the_folder_of_nobody_is_refused(write_vehicle: Write, key: str) -> None:
+    own = write_vehicle(key % "~nobody_here/file", "own.yaml")
+    with pytest.raises(ConfigError, match=r"own\.yaml: .* ~nobody_here/file: there is no such user"):
+        load_vehicle(own)
+
+
 def test_overrides_reach_every_vehicle_of_a_fleet(write: Write) -> None:
     fleet = load_fleet(write("vehicles: {uav1: , uav2: }\nmode: none"), overrides={"fusion.mode": "wideband"})
     assert {v.fusion.mode for v in fleet.vehicles.values()} == {"wideband"}

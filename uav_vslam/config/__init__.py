@@ -13,6 +13,7 @@ from uav_vslam.config.advice import idle_radio, idle_settings, separate_maps
 from uav_vslam.config.backend import ASSOCIATIONS, FILTERS, RETENTION_POLICIES, STATE_MODELS, BackendConfig
 from uav_vslam.config.files import (
     difference_file,
+    expanded,
     find_config,
     find_dds_profile,
     load_fleet,
@@ -64,6 +65,7 @@ __all__ = [
     "VehicleConfig",
     "difference_file",
     "differences",
+    "expanded",
     "find_config",
     "find_dds_profile",
     "idle_radio",

@@ -174,15 +174,27 @@ def _tree(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return a file's values with the paths in it, which are relative to it, as absolute ones."""
-    found = {name: _absolute(values[name], path) for name in PATHS if values.get(name)}
+    found = {name: _absolute(values[name], path, name) for name in PATHS if values.get(name)}
     if isinstance(paths := values.get(CALIBRATION), list):
-        found[CALIBRATION] = [_absolute(one, path) for one in paths if one]
+        found[CALIBRATION] = [_absolute(one, path, CALIBRATION) for one in paths if one]
     return values | found
 
 
-def _absolute(given: Any, path: Path) -> Any:
+def _absolute(given: Any, path: Path, name: str) -> Any:
     """Return a path that a file gives, relative to it, as an absolute one; what is no text is refused later."""
-    return str((path.parent / Path(given).expanduser()).resolve()) if isinstance(given, str) else given
+    return str((path.parent / expanded(given, f"{path}: {name}")).resolve()) if isinstance(given, str) else given
+
+
+def expanded(given: str, name: str) -> Path:
+    """Return a path in which ~ and ~user stand for their folders.
+
+    Raises:
+        ConfigError: there is no such user; `name` says what the path is of.
+    """
+    try:
+        return Path(given).expanduser()
+    except RuntimeError:
+        raise ConfigError(f"{name} {given}: there is no such user; name the folder in full") from None
 
 
 def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:
@@ -207,7 +219,7 @@ def _section(path: Path, tree: Mapping[Any, Any], name: str) -> dict[str, Any]:
 def _fleet_key(path: Path, value: Any) -> dict[str, Any]:
     if not isinstance(value, str) or not value:
         raise ConfigError(f"{path}: fleet_key = {value!r} must be the path of a key file; uav-vslam keys new makes one")
-    return {"fusion.fleet_key_file": _absolute(value, path)}
+    return {"fusion.fleet_key_file": _absolute(value, path, "fleet_key")}
 
 
 def _addresses(path: Path, entries: Mapping[str, Any]) -> dict[str, str]:

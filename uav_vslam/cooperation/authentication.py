@@ -26,7 +26,7 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_pem_public_key
 
-from uav_vslam.config import FusionConfig
+from uav_vslam.config import FusionConfig, expanded
 from uav_vslam.errors import ConfigError, InvalidMessage
 from uav_vslam.slam.packet import canonical_bytes
 from uav_vslam.types import LandmarkPacket
@@ -120,10 +120,10 @@ def authentication_for(vehicle: str, config: FusionConfig) -> Authentication:
         ConfigError: a key can't be read, or the vehicle's own pair does not match.
     """
     if config.fleet_key_file:
-        return FleetKey(_fleet_key(Path(config.fleet_key_file).expanduser()))
+        return FleetKey(_fleet_key(expanded(config.fleet_key_file, "fusion.fleet_key_file")))
     if config.signing_key_file:
-        own = _private_key(Path(config.signing_key_file).expanduser())
-        peers = _public_keys(Path(config.peer_keys_folder).expanduser())
+        own = _private_key(expanded(config.signing_key_file, "fusion.signing_key_file"))
+        peers = _public_keys(expanded(config.peer_keys_folder, "fusion.peer_keys_folder"))
         if vehicle in peers and peers[vehicle].public_bytes_raw() != own.public_key().public_bytes_raw():
             raise ConfigError(f"{config.signing_key_file} is not the key of {vehicle} in {config.peer_keys_folder}")
         return VehicleKeys(own, peers)

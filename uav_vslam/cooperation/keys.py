@@ -9,7 +9,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from uav_vslam.config import FleetConfig, FusionConfig
+from uav_vslam.config import FleetConfig, FusionConfig, expanded
 from uav_vslam.cooperation.authentication import authentication_for
 from uav_vslam.errors import ConfigError
 
@@ -86,9 +86,9 @@ def _report(vehicle: str, fusion: FusionConfig) -> KeyReport:
     file = _key_file(fusion)
     if not file:
         return KeyReport(vehicle, "", fault="no key (fusion.fleet_key_file, or fleet_key in the fleet file)")
-    path = Path(file).expanduser()
     try:
         authentication_for(vehicle, fusion)
+        path = expanded(file, "key")
     except ConfigError as error:
         return KeyReport(vehicle, file, fault=str(error))
     mode = path.stat().st_mode & 0o777

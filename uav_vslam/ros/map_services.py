@@ -12,12 +12,12 @@ two to bound.
 import threading
 from collections.abc import Awaitable, Callable, Generator
 from concurrent.futures import Future
-from pathlib import Path
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from uav_vslam.config import expanded
 from uav_vslam.errors import MapError
 from uav_vslam.slam.saved_map import Mapped, SavedMap, load_map, save_map
 from uav_vslam.slam.stage import SlamStage
@@ -77,10 +77,7 @@ def _map_file(node: Node) -> str:
     name: str = node.get_parameter("map_file").value
     if not name:
         raise MapError("the parameter map_file is empty; set it to the name of a file")
-    try:
-        return str(Path(name).expanduser().absolute())
-    except RuntimeError:
-        raise MapError(f"map_file {name}: there is no such user; name the folder in full") from None
+    return str(expanded(name, "map_file").absolute())
 
 
 def _answering(
