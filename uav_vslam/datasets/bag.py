@@ -100,7 +100,8 @@ def _warnings(bags: Sequence[Path], topics: Topics, setup: SensorSetup) -> Itera
         yield f"{topic} has no frame_id, so the IMU counts as the body; set input.frames.imu if it is elsewhere"
     if setup.files.unequal_clocks:
         yield setup.files.unequal_clocks
-    yield from filter(None, (setup.rectified_twice, setup.never_rectified))
+    if doubt := setup.lens_doubt:
+        yield doubt
     yield from recorded_together(bags, setup.config.topic(setup.vehicle, "imu"))
     yield from setup.frames.faults
     if setup.frames.moved:

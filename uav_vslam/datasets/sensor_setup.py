@@ -152,8 +152,11 @@ class SensorSetup:
         return ""
 
     @property
-    def never_rectified(self) -> str:
-        """Why points would stay distorted, by their topics' names; empty if they would not."""
+    def lens_doubt(self) -> str:
+        """Why points would be undistorted twice, or not at all, by their topics' names; empty if they would not."""
+        return self.rectified_twice or self._never_rectified()
+
+    def _never_rectified(self) -> str:
         if not self.config.rectified or self.files.cameras:
             return ""
         for side in SIDES:

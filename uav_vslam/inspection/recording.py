@@ -180,7 +180,7 @@ def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
     """Judge calibration and images; return the rig if there is one."""
     if text := survey.setup.files.unequal_clocks:
         found.findings.append(warning("clocks of the cameras", text, "one clock", "see the text"))
-    if text := survey.setup.rectified_twice or survey.setup.never_rectified:
+    if text := survey.setup.lens_doubt:
         found.findings.append(warning("rectified images", text, "images as they were calibrated", "see the text"))
     for text in survey.setup.frames.faults:
         found.findings.append(warning("frames", text, "unit quaternions, finite places", "it is left out"))

@@ -65,11 +65,6 @@ class RigListener:
             return f"there is no valid camera_info of the {' and the '.join(sides)} camera"
         return f"/tf_static has no {', '.join(self.setup.missing_transforms())}; {PUBLISH}{_likely_base(self.setup)}"
 
-    @property
-    def lens_doubt(self) -> str:
-        """Why points would be undistorted twice, or not at all, by the images' names; empty if they would not."""
-        return self.setup.rectified_twice or self.setup.never_rectified
-
     def left_frame(self, of_images: str) -> str:
         """Return the frame of the left camera; where nothing else names it, that of its images."""
         return (self.setup.camera_frame("left") or of_images).lstrip("/")

@@ -22,13 +22,13 @@ RECEIVED = (
 
 def warn_of_idle_qos(node: Node) -> None:
     """Warn of qos_overrides.* of a node that has opened its topics: those that neither it nor another one declares."""
+    given = [name for name in node._parameter_overrides if name.startswith(QOS_OVERRIDES)]
+    of_others = [name for name in given if not node.has_parameter(name)]
+    if not of_others:
+        return
     of_any = names_of_overrides(node)
     own = f"{QOS_OVERRIDES}{node.get_namespace().rstrip('/')}/"
-    idle = [
-        name
-        for name in node._parameter_overrides
-        if name.startswith(QOS_OVERRIDES) and not node.has_parameter(name) and not {name, _moved(name, own)} & of_any
-    ]
+    idle = [name for name in of_others if not {name, _moved(name, own)} & of_any]
     if idle:
         near = difflib.get_close_matches(idle[0], of_any, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""

@@ -153,7 +153,7 @@ class StereoFrontendNode(VehicleNode):
             self.counts["features"] += len(features)
 
     def _warn_of_lens(self) -> None:
-        if doubt := self._rig.lens_doubt:
+        if doubt := self._rig.setup.lens_doubt:
             self.notes["lens"] = doubt
             self.get_logger().warning(doubt)
 

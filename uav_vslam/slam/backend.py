@@ -382,7 +382,7 @@ class SlamBackend:
     @property
     def _since_start_s(self) -> float:
         """Time of the newest estimate since the filter was initialised [s]."""
-        return (self._nav.state.stamp_ns - self._reset_ns) / NS_PER_S
+        return (self._nav.state.stamp_ns - self._fallbacks.began_ns) / NS_PER_S
 
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
@@ -396,7 +396,7 @@ class SlamBackend:
         )
         self._filter.expect_time_offset(self._time_offset_s)
         self._health = FilterHealth()
-        self._nav, self._reset_ns = initial, initial.state.stamp_ns
+        self._nav = initial
         self._fallbacks.begin(initial)
         self._disparity_judge = DisparityJudge()
 

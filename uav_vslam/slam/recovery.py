@@ -36,6 +36,7 @@ class Fallbacks:
 
     Attributes:
         unaided: what the filter began with, propagated by the IMU alone; None once it has drifted for `UNAIDED_S`.
+        began_ns: when that was [ns].
     """
 
     def __init__(self, initial: NavEstimate) -> None:
@@ -45,12 +46,12 @@ class Fallbacks:
     def begin(self, initial: NavEstimate) -> None:
         """Start over with what a filter begins with."""
         self.unaided: NavEstimate | None = initial
-        self._began_ns = initial.state.stamp_ns
+        self.began_ns = initial.state.stamp_ns
 
     def propagate(self, increment: ImuIncrement, imu: ImuConfig) -> None:
         """Propagate the unaided estimate to the next frame."""
         if self.unaided is not None:
-            is_recent = increment.stamp_ns - self._began_ns <= UNAIDED_S * NS_PER_S
+            is_recent = increment.stamp_ns - self.began_ns <= UNAIDED_S * NS_PER_S
             self.unaided = advance(self.unaided, increment, imu) if is_recent else None
 
     def confirm(self, estimate: NavEstimate) -> None:
