@@ -36,6 +36,7 @@ RIG = kagaru_rig()
 IMU = IMU_GRADES["adis16480"]
 DOWN = np.array([0.0, 0.0, -IMU.gravity])
 FRAME_S = 0.14
+DELAY_SIGMA_S = 0.003
 POINTS = 60
 RUNS = 15
 TILTED = rotation_from_rpy(0.05, -0.1, 0.0)
@@ -56,8 +57,8 @@ class Case:
     ground: Array
     T_map_body: Pose
 
-    def solve(self, *, imu: ImuConfig = IMU, sigma_px: float = 1.0) -> Alignment:
-        return align(RIG, self.pixels, self.views, imu=imu, sigma_px=sigma_px)
+    def solve(self, *, imu: ImuConfig = IMU, sigma_px: float = 1.0, delay_sigma_s: float = DELAY_SIGMA_S) -> Alignment:
+        return align(RIG, self.pixels, self.views, imu=imu, sigma_px=sigma_px, delay_sigma_s=delay_sigma_s)
 
     def solve_in_map(self, *, sigma_m: float, rng: np.random.Generator, wrong: int = 0) -> MapAlignment:
         """Solve with every third point in a map, from a pose that is 5 m and some degrees off."""
@@ -68,7 +69,7 @@ class Case:
         off = Pose(turn @ self.T_map_body.R, self.T_map_body.t + np.array([5.0, -4.0, 3.0]))
         covariances = np.broadcast_to((sigma_m**2 + 1e-6) * np.eye(3), (len(rows), 3, 3))
         known = MapPoints(rows, positions, covariances, off)
-        return align_in_map(RIG, self.pixels, self.views, known, imu=IMU, sigma_px=1.0)
+        return align_in_map(RIG, self.pixels, self.views, known, imu=IMU, sigma_px=1.0, delay_sigma_s=DELAY_SIGMA_S)
 
     def pose_error(self, found: MapAlignment) -> Array:
         """Return the true position less the estimate, and the rotation vector between them, in map axes."""
@@ -82,12 +83,13 @@ class Case:
         return float(v @ np.linalg.solve(P_v, v) / 3), float(g @ np.linalg.solve(P_g, g) / 3)
 
 
-def motion(speed: float, *, hover: bool = False) -> Trajectory:
-    """70 m up, climbing and rolling gently, or almost still."""
+def motion(speed: float, *, hover: bool = False, gust_rate: float = 0.0) -> Trajectory:
+    """70 m up, climbing and rolling gently, or almost still; gusts turn it at up to a rate [rad/s]."""
     t = np.arange(-0.5, 3.0, 0.02)
     shake = 0.1 if hover else 1.0
     xyz = np.stack([speed * t, shake * np.sin(t), 70.0 + 0.5 * shake * t**2], axis=1)
     rpy = np.stack([0.05 + 0.1 * shake * np.sin(2 * t), -0.1 + 0.05 * shake * t, 0.3 + 0.1 * shake * t], axis=1)
+    rpy[:, :2] += gust_rate / 9.0 * np.stack([np.sin(9 * t), np.sin(8 * t + 1.0)], axis=1)
     return Trajectory(0, t, xyz, rpy)
 
 
@@ -98,9 +100,10 @@ def window(
     sigma_px: float = 0.0,
     wrong: float = 0.0,
     imu: ImuConfig | None = None,
+    delay_s: float = 0.0,
     seed: int = 0,
 ) -> Case:
-    """Frames over flat ground with relief; without `imu` the readings are errorless."""
+    """Frames over ground with relief, exposed a delay after their stamps; without `imu` the readings are errorless."""
     rng = np.random.default_rng(seed)
     stamps = np.arange(-100_000_000, 2_500_000_000, 2_000_000)
     if imu is None:
@@ -109,7 +112,7 @@ def window(
         readings = simulate_imu(flown, stamps, imu, rng=rng)
     times = FRAME_S * np.arange(frames)
     ground = np.column_stack([rng.uniform(-25, 30, POINTS), rng.uniform(-25, 25, POINTS), rng.normal(0, 2.0, POINTS)])
-    pixels = [observe(flown, float(t), ground, sigma_px, rng) for t in times]
+    pixels = [observe(flown, float(t) + delay_s, ground, sigma_px, rng) for t in times]
     steps = list(itertools.pairwise(np.round(times * NS_PER_S).astype(int)))
     views = []
     for (start_ns, stamp_ns), z in zip(steps, pixels[1:], strict=True):
@@ -187,6 +190,20 @@ def test_a_large_gyro_bias_is_estimated() -> None:
     assert np.linalg.norm(error) < 0.1 * np.linalg.norm(case.gyro_bias)
 
 
+def test_a_delay_of_the_exposures_is_allowed_for() -> None:
+    """Taken for exact, in gusts, most matches of some frames contradict the others, and the rest fit a wrong motion."""
+    flown, nees, errors = motion(5.0, gust_rate=0.6), [], []
+    for seed in range(RUNS):
+        delay_s = np.random.default_rng(seed).normal(0.0, DELAY_SIGMA_S)
+        case = window(flown, sigma_px=0.3, imu=IMU, delay_s=delay_s, seed=seed)
+        found = case.solve(sigma_px=0.3)
+        assert found.inliers.min() > 0.9 * POINTS
+        nees.append(case.nees(found))
+        errors.append(case.nees(case.solve(sigma_px=0.3, delay_sigma_s=0.0)))
+    assert np.all(np.mean(nees, axis=0) < BAND[1])
+    assert np.all(np.mean(errors, axis=0) > 10.0)
+
+
 def test_inputs_are_not_modified() -> None:
     case = window(motion(20.0), sigma_px=1.0, imu=IMU)
     before = [case.pixels.copy(), *(view.pixels.copy() for view in case.views)]
@@ -199,7 +216,7 @@ def test_without_matches_the_motion_is_undetermined() -> None:
     """The biases keep their prior, and the velocity is unknown."""
     case = window(motion(20.0))
     blind = [View(view.motion, view.rows[:1], view.pixels[:1] + 400.0) for view in case.views]
-    found = align(RIG, case.pixels, blind, imu=IMU, sigma_px=1.0)
+    found = align(RIG, case.pixels, blind, imu=IMU, sigma_px=1.0, delay_sigma_s=DELAY_SIGMA_S)
     assert np.isfinite(found.velocity).all()
     assert np.sqrt(found.covariance[0, 0]) > 5.0
     prior = np.repeat([IMU.gyro_bias_sigma, IMU.accel_bias_sigma], 3)

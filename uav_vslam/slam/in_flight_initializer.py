@@ -75,6 +75,7 @@ class Window:
         views: them in later frames.
         motion: at the first frame.
         imu: that it was found with: as configured, or with any gyro bias.
+        sigma_tilt_rad: largest standard deviation of the motion's horizontal axes [rad].
     """
 
     first: StereoFeatures
@@ -83,6 +84,7 @@ class Window:
     views: list[View]
     motion: Alignment
     imu: ImuConfig
+    sigma_tilt_rad: float
 
 
 class InFlightInitializer:
@@ -165,19 +167,35 @@ class InFlightInitializer:
         gained = sum(float(np.linalg.norm(view.motion.delta_v)) for view in views)
         if unlike := unlike_gravity(gained / sum(view.motion.dt_s for view in views), self._config.imu):
             raise InsufficientEvidence(unlike)
-        found, imu = self._motion(pixels, views)
+        found, imu, sigma_tilt_rad = self._motion(pixels, views)
         self._validate(found, views)
-        return Window(first, usable, pixels, views, found, imu)
+        return Window(first, usable, pixels, views, found, imu, sigma_tilt_rad)
 
-    def _motion(self, pixels: NDArray[np.float64], views: list[View]) -> tuple[Alignment, ImuConfig]:
+    def _motion(self, pixels: NDArray[np.float64], views: list[View]) -> tuple[Alignment, ImuConfig, float]:
+        """Return the motion, the noise that it was found with, and the standard deviation of its tilt [rad].
+
+        Frames over a short time cannot tell a delay of the exposures from tilt. They are taken for exposed at their
+        stamps, and leave the tilt as uncertain as is allowed.
+        """
+        found, imu = self._aligned(pixels, views, self._config.rig.time_offset_sigma_s)
+        sigma, most = self._sigma_tilt_rad(found), float(np.deg2rad(self._max_tilt_sigma_deg))
+        if sigma > most:
+            found, imu = self._aligned(pixels, views, 0.0)
+            sigma = max(self._sigma_tilt_rad(found), most)
+        return found, imu, sigma
+
+    def _aligned(
+        self, pixels: NDArray[np.float64], views: list[View], delay_sigma_s: float
+    ) -> tuple[Alignment, ImuConfig]:
         """Return the motion, and the noise that it was found with: any gyro bias where that contradicts its spread."""
         imu = self._config.imu
+        noise = {"sigma_px": self._config.backend.sigma_px, "delay_sigma_s": delay_sigma_s}
         free = dataclasses.replace(imu, gyro_bias_sigma=ANY_GYRO_BIAS)
-        found = align(self._rig, pixels, views, imu=free, sigma_px=self._config.backend.sigma_px)
+        found = align(self._rig, pixels, views, imu=free, **noise)
         expected = found.covariance[GYRO_BIAS, GYRO_BIAS] + imu.gyro_bias_sigma**2 * np.eye(3)
         if found.gyro_bias @ np.linalg.solve(expected, found.gyro_bias) > MOST_BIAS_CHI2:
             return found, free
-        return align(self._rig, pixels, views, imu=imu, sigma_px=self._config.backend.sigma_px), imu
+        return align(self._rig, pixels, views, imu=imu, **noise), imu
 
     def _is_bias_expected(self, window: Window) -> bool:
         return window.imu == self._config.imu
@@ -203,7 +221,7 @@ class InFlightInitializer:
             v_body=found.velocity,
             gyro_bias=found.gyro_bias,
             sigma_velocity=self._config.start.velocity_sigma,
-            sigma_tilt=PRIOR_PER_SIGMA * self._sigma_tilt_rad(found),
+            sigma_tilt=PRIOR_PER_SIGMA * window.sigma_tilt_rad,
             sigma_gyro_bias=bias_sigma,
             sigma_accel_bias=imu.accel_bias_sigma,
         )

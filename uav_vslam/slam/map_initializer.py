@@ -64,6 +64,7 @@ class MapInitializer(InFlightInitializer):
             self._map_points(located, window.usable),
             imu=window.imu,
             sigma_px=self._config.backend.sigma_px,
+            delay_sigma_s=self._config.rig.time_offset_sigma_s,
         )
         if fit.landmarks < MIN_INLIERS:
             raise InsufficientEvidence(
