@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fed_stage import feed
 
-from uav_vslam.config import StartConfig
+from uav_vslam.config import RigConfig, StartConfig
 from uav_vslam.offline.track import _last_outputs, track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
@@ -93,7 +93,7 @@ def test_a_readout_that_is_not_configured_is_measured_and_named(flown, seed: int
     flight = flown(seed, frames=24, tracked_px=PX, readout_s=readout_s)
     (warning,) = named(feed(flight.tracking_stage(PX), flight.frames))
     found_ms, sigma_ms = map(float, re.search(r"last one (\S+) ms ± (\S+) ms after the first", warning).groups())
-    assert sigma_ms < 0.2
+    assert sigma_ms < 0.25
     assert found_ms == pytest.approx(1e3 * readout_s, rel=0.02, abs=4.0 * sigma_ms)
     assert f"set that to {1e-3 * found_ms:.5f};" in warning
 
@@ -163,16 +163,18 @@ def test_a_flight_that_goes_on_from_a_checkpoint_is_not_flown_again(flown) -> No
 
 
 @pytest.mark.slow
-def test_a_global_shutter_is_not_suspected(flown) -> None:
+@pytest.mark.parametrize("ratio_error", [0.0, 0.003, -0.003])
+def test_a_global_shutter_is_not_suspected(flown, ratio_error: float) -> None:
+    """Nor where a wrong focal length of the right camera changes the depths along the columns."""
     for seed in range(1, 9):
-        flight = flown(seed, frames=24, tracked_px=PX)
+        flight = flown(seed, frames=24, tracked_px=PX, focal_ratio_bias=ratio_error)
         stage = flight.tracking_stage(PX)
         assert named(feed(stage, flight.frames)) == []
         assert not stage._flight._shutter.watching  # it has been judged
 
 
 def test_a_pair_with_an_unknown_motion_does_not_count(flown) -> None:
-    flight, monitor = flown(1, frames=24, tracked_px=PX), ShutterMonitor(0.0)
+    flight, monitor = flown(1, frames=24, tracked_px=PX), ShutterMonitor(RigConfig())
     for k in range(1, 9):
         add(monitor, flight, k)
     assert monitor._found.count == 7  # the first frame has none before
@@ -184,7 +186,7 @@ def test_a_pair_with_an_unknown_motion_does_not_count(flown) -> None:
 
 
 def test_at_rest_nothing_is_measured(flown) -> None:
-    flight, monitor = flown(1, frames=24, tracked_px=PX), ShutterMonitor(0.0)
+    flight, monitor = flown(1, frames=24, tracked_px=PX), ShutterMonitor(RigConfig())
     features, step = flight.frames[5]
     nav = dataclasses.replace(flight.vehicle.true_state(features.stamp_ns), v_map=np.zeros(3))
     still = dataclasses.replace(step, start_ns=step.stamp_ns, rate_start=nav.gyro_bias, rate_end=nav.gyro_bias)

@@ -3,8 +3,10 @@
 
 From one frame to the next a point moves as the camera does, and by what its rows were late: q readout, with q the
 velocity of its image times how far below the middle it is, there minus here. Least squares over the points of a pair of
-frames finds that beside a correction of the camera's motion. What gives it away is that the image moves faster in the
-one frame than in the other: nothing else stretches it by so much, along the motion and in step with the gyroscope.
+frames finds that beside a correction of the camera's motion and one of the right focal length, whose error changes the
+depth of the outer rows' points, and so their motion, if the baseline is along the columns. What gives the readout away
+is that the image moves faster in the one frame than in the other: nothing else stretches it by so much, along the
+motion and in step with the gyroscope.
 """
 
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.config import RigConfig
 from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import StereoRig
@@ -28,6 +31,8 @@ WARNED_SIGMAS = 6.0
 COARSE_S, COARSE_SIGMAS = 5e-3, 10.0  # least error that is judged before it is known
 ROUNDS = 3  # of least squares, each without the outliers of the one before
 OUTLIER = 3.0  # times the median residual
+FOCAL_LENGTH = 6  # number of the unknown
+STEP = 0.01  # of a numerical derivative, in standard deviations
 LEAST_PX = 0.01  # noise of tracked points
 LEAST_INFORMATION = 1e2  # of a pair of frames that counts: 0.1 s [1/s^2]
 
@@ -75,8 +80,8 @@ class ShutterMonitor:
         contradicting_s: the readout, if it is known and not the one that is configured [s].
     """
 
-    def __init__(self, readout_s: float) -> None:
-        self._configured_s = readout_s
+    def __init__(self, config: RigConfig) -> None:
+        self._config = config
         self._before: StereoFeatures | None = None
         self._found = _Mean()
         self.watching = True
@@ -104,27 +109,27 @@ class ShutterMonitor:
         if shown is not None and shown.stamp_ns == increment.start_ns:
             here = _Seen(shown, before, Turning.at_start(increment, before).rate_map)
             there = _Seen(features, now, Turning.at_end(increment, now).rate_map)
-            found = _readout(here, there, rig)
+            found = _readout(here, there, rig, self._config)
             if found is not None:
                 self._found.add(*found)
         if self._found.count < FEWEST_PAIRS:
             return ""
-        readout_s, sigma_s = self._found.mean, self._found.sigma
-        is_far = abs(readout_s - self._configured_s) > max(COARSE_S, COARSE_SIGMAS * sigma_s)
+        readout_s, sigma_s, configured_s = self._found.mean, self._found.sigma, self._config.readout_s
+        is_far = abs(readout_s - configured_s) > max(COARSE_S, COARSE_SIGMAS * sigma_s)
         if sigma_s > KNOWN_S and not is_far:
             return ""
         self.watching, self._before = False, None
-        if abs(readout_s - self._configured_s) < max(WARNED_S, WARNED_SIGMAS * sigma_s):
+        if abs(readout_s - configured_s) < max(WARNED_S, WARNED_SIGMAS * sigma_s):
             return ""
         self.contradicting_s = readout_s
         return (
             f"the rows of an image are exposed one after another: the last one {1e3 * readout_s:.2f} ms "
-            f"± {1e3 * sigma_s:.2f} ms after the first, which is not rig.readout_s, {1e3 * self._configured_s:g} ms: "
+            f"± {1e3 * sigma_s:.2f} ms after the first, which is not rig.readout_s, {1e3 * configured_s:g} ms: "
             f"set that to {readout_s:.5f}; what else is warned of may come of it"
         )
 
 
-def _readout(here: _Seen, there: _Seen, rig: StereoRig) -> tuple[float, float] | None:
+def _readout(here: _Seen, there: _Seen, rig: StereoRig, config: RigConfig) -> tuple[float, float] | None:
     """Return the readout [s] that two frames show, and its information [1/s^2].
 
     None if too few tracks join them, or the vehicle hardly moves.
@@ -141,8 +146,15 @@ def _readout(here: _Seen, there: _Seen, rig: StereoRig) -> tuple[float, float] |
     points_there = T_there_here.apply(points[good])
     late = _lateness(there, points_there, seen, rig) - _lateness(here, points[good], pixels[good, :2], rig)
     J = rig.left.project_jacobian(points_there)
-    A = np.concatenate([J, -J @ skew(points_there), late[..., None]], axis=2)  # translation, rotation, readout
-    return _least_squares(A, seen - rig.left.project(points_there))
+    deeper = T_there_here.R @ _by_focal_length(points[good], pixels[good], rig, config.focal_ratio_sigma)[..., None]
+    # translation, rotation, focal length in standard deviations, readout
+    A = np.concatenate([J, -J @ skew(points_there), J @ deeper, late[..., None]], axis=2)
+    return _least_squares(A, seen - rig.left.project(points_there), FOCAL_LENGTH)
+
+
+def _by_focal_length(points_left: Array, pixels: Array, rig: StereoRig, share: float) -> Array:
+    """Return (N, 3) how points triangulated from pixels move where the right focal length is longer by a share."""
+    return (rig.right_magnified(STEP * share).triangulate(pixels) - points_left) / STEP
 
 
 def _lateness(at: _Seen, points_left: Array, pixels: Array, rig: StereoRig) -> Array:
@@ -152,12 +164,17 @@ def _lateness(at: _Seen, points_left: Array, pixels: Array, rig: StereoRig) -> A
     return np.asarray(flow * below_middle(rig.left, pixels)[:, None])
 
 
-def _least_squares(A: Array, residual: Array) -> tuple[float, float] | None:
-    """Return the last unknown and its information, of (N, 2, 7) Jacobians and (N, 2) residuals with outliers."""
+def _least_squares(A: Array, residual: Array, known: int) -> tuple[float, float] | None:
+    """Return the last unknown and its information, of (N, 2, 8) Jacobians and (N, 2) residuals with outliers.
+
+    Unknown number `known` is N(0, 1) before.
+    """
     keep = np.ones(len(A), bool)
+    variance = LEAST_PX**2
+    prior = np.eye(A.shape[2])[[known]]
     for _ in range(ROUNDS):
-        rows = A[keep].reshape(-1, A.shape[2])
-        x = np.linalg.lstsq(rows, residual[keep].ravel(), rcond=None)[0]
+        rows = np.concatenate([A[keep].reshape(-1, A.shape[2]), variance**0.5 * prior])
+        x = np.linalg.lstsq(rows, np.r_[residual[keep].ravel(), 0.0], rcond=None)[0]
         left = np.linalg.norm(residual - A @ x, axis=1)
         variance = LEAST_PX**2 + float(np.sum(left[keep] ** 2)) / max(1, len(rows) - len(x))
         keep = left < OUTLIER * np.median(left[keep])

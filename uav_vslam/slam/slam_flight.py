@@ -87,7 +87,7 @@ class SlamFlight:
         self._start_watch.start(initial)
         self._dead_reckoning.start(initial)
         self._rig_monitor, self._noise_monitor = RigMonitor(config.rig), NoiseMonitor(config.imu)
-        self._shutter = ShutterMonitor(config.rig.readout_s)
+        self._shutter = ShutterMonitor(config.rig)
         self._bias_steps = BiasStepMonitor()
         self._clock: ClockOffsetMonitor | None = None
         self._previous_ns: int | None = None
