@@ -135,7 +135,7 @@ def test_prediction_is_F_P_Ft_plus_Q(course, name: str, model: str) -> None:
     expected = F @ before @ F.T
     expected[:m, :m] += process.Q
     if name in BOUNDED:
-        belief, feasibility = bounded(CovarianceBelief(expected, m), m, BackendConfig().gamma)
+        belief, feasibility = bounded(CovarianceBelief(expected, m), BackendConfig().gamma)
         expected = belief.covariance(ALL)
     landmarks = f.landmarks.copy()
     f.predict(increment)

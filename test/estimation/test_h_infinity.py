@@ -41,7 +41,7 @@ def test_bound_subtracts_the_scaled_navigation_block_from_the_information(
     """P <- (P^-1 - gamma^-2 L^T L)^-1; the rows of the biases and of the rig are not bounded, but correlated."""
     P = some_covariance(seed, nav_dim + rig_rows)
     gamma = np.sqrt(MARGIN * feasibility_limit(P)) * 10.0**decades
-    belief, feasibility = bounded(form.from_covariance(P), nav_dim, gamma)
+    belief, feasibility = bounded(form.from_covariance(P), gamma)
     Y = np.linalg.inv(P)
     Y[:9, :9] -= np.diag(1.0 / (gamma * SCALE) ** 2)
     expected, sigma = np.linalg.inv(Y), np.sqrt(np.diag(P))
@@ -54,7 +54,7 @@ def test_bound_subtracts_the_scaled_navigation_block_from_the_information(
 def test_bound_is_feasible_for_any_gamma(seed: int, gamma: float) -> None:
     """P grows by at most 1 / (1 - 1/MARGIN), and never shrinks."""
     P = some_covariance(seed, 15)
-    belief, feasibility = bounded(SquareRootBelief.from_covariance(P), 15, gamma)
+    belief, feasibility = bounded(SquareRootBelief.from_covariance(P), gamma)
     assert feasibility >= MARGIN * (1 - 1e-9)
     after = belief.covariance(np.zeros(0, np.int64))
     L = np.linalg.cholesky(P)

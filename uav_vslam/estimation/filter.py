@@ -145,7 +145,7 @@ class Filter(JointState):
                 self.belief = self.belief.reset_rows(rows, self._errors.vibration_variance)
                 self._set_mean(rig=self._errors.reset_vibration(self.rig_state))
             if self._gamma is not None:
-                self.belief, self.feasibility = bounded(self.belief, nav_dim, self._gamma)
+                self.belief, self.feasibility = bounded(self.belief, self._gamma)
         self._set_mean(nav=process.nav)
         self.ends(increment)
 

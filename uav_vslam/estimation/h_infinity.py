@@ -19,19 +19,17 @@ ERROR_SCALE = (1.0, 0.1, 0.01)  # of position [m], velocity [m/s], attitude [rad
 MARGIN = 20.0  # least ratio of gamma^2 to the feasibility limit
 
 
-def bounded(belief: Belief, nav_dim: int, gamma: float) -> tuple[Belief, float]:
+def bounded(belief: Belief, gamma: float) -> tuple[Belief, float]:
     """Return the bounded belief and the ratio of gamma^2 to its feasibility limit.
 
     Args:
-        belief: prior.
-        nav_dim: rows of the navigation block; it is ordered position, velocity, attitude, biases (not bounded).
+        belief: prior; its first rows are position, velocity and attitude, in every state model. Biases are not bounded.
         gamma: requested; gamma^2 is raised to at least `MARGIN` times the limit.
     """
     L = np.diag(1.0 / np.repeat(ERROR_SCALE, 3))
-    bounded_rows = min(nav_dim, len(L))
-    P = belief.covariance(NO_ROWS)[:bounded_rows, :bounded_rows]
+    P = belief.covariance(NO_ROWS)[: len(L), : len(L)]
     limit = float(np.linalg.eigvalsh(L @ P @ L.T)[-1])
     gamma2 = max(gamma**2, MARGIN * limit)
     B = np.zeros((len(L), belief.vehicle))
-    B[:, :bounded_rows] = L / np.sqrt(gamma2)
+    B[:, : len(L)] = L / np.sqrt(gamma2)
     return belief.information_removed(B), gamma2 / limit
