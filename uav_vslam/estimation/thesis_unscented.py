@@ -12,7 +12,6 @@ sigmas away, puts an uncertain landmark behind the camera.
 Symbols: chi sigma points as errors from the mean, W weights, D deviations from the weighted mean (rows are points).
 """
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -58,7 +57,7 @@ class ThesisUnscentedFilter(Filter):
         P = (D.T * weights) @ D
         _, Q = transition(self.nav, increment, self.imu)
         nav, landmarks = self._model.retract(centre, self.landmarks, shift)
-        self.mean = dataclasses.replace(self.mean, nav=nav, landmarks=landmarks)
+        self._set_mean(nav=nav, landmarks=landmarks)
         from_map = self._model.from_map(self.nav)
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
         self.belief = CovarianceBelief(definite(symmetrise(P)), self.vehicle)
