@@ -97,11 +97,6 @@ class LandmarkMap:
         self.tracks[np.isin(self.tracks, tracks)] = 0  # a track observes one landmark only
         self.tracks[rows] = tracks
 
-    def rows_of(self, ids: NDArray[np.uint32]) -> Rows:
-        """Return the (K,) rows of landmarks that are in the map."""
-        order = np.argsort(self.ids)
-        return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)])
-
     def move_to_end(self, rows: Rows) -> None:
         """Put some landmarks behind all others."""
         self._choose(np.concatenate([np.delete(np.arange(len(self)), rows), rows]))

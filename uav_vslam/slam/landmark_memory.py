@@ -25,6 +25,7 @@ from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.image_grid import spread_on_ground
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import inverse_spd, solve_spd, symmetrise
+from uav_vslam.search import rows_of
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]
@@ -130,8 +131,7 @@ def _conditional(joint: JointInformation, given: Rows, wanted: Rows) -> _Conditi
 
 def _joined(joint: JointInformation, known: _Conditional) -> JointInformation:
     """Return the joint belief over state and remembered landmarks."""
-    order = np.argsort(joint.ids)
-    rows = order[np.searchsorted(joint.ids, known.given, sorter=order)]
+    rows = rows_of(known.given, joint.ids)
     moved = (joint.positions[rows] - known.at).ravel()
     CA = known.C_inv @ known.A
     n, g = len(joint.information), len(known.C_inv)

@@ -14,6 +14,7 @@ from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.mean import Mean
 from uav_vslam.estimation.observation import MIN_DEPTH_M
 from uav_vslam.estimation.tracks import Tracks
+from uav_vslam.search import rows_of
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.matches import Matches
 from uav_vslam.types import StereoFeatures
@@ -67,7 +68,7 @@ class SecondViews:
         self._map.move_to_end(again)
         passed = self._filter.update_with_points(
             points,
-            self._map.rows_of(ids[~second]),
+            rows_of(ids[~second], self._map.ids),
             matches.pixels[~second],
             at=at,
             weights=weights[~second],
@@ -75,7 +76,7 @@ class SecondViews:
         )
         self._map.remove(len(self._map) - len(again) + np.flatnonzero(~passed))
         kept = np.isin(ids, self._map.ids)
-        return Matches(self._map.rows_of(ids[kept]), matches.features[kept], matches.pixels[kept])
+        return Matches(rows_of(ids[kept], self._map.ids), matches.features[kept], matches.pixels[kept])
 
     def past_to_drop(self) -> Rows:
         """Return the past poses that the filter need not keep: all but that of the newest frame."""

@@ -19,6 +19,7 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import PacketLink, cooperate
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.pipeline import VehicleTrack
+from uav_vslam.search import rows_of
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.own_only import prepare
@@ -259,9 +260,7 @@ class _PacketMonitor:
         if fusion.belief is None or len(packet) == 0:
             return
         started = time.process_time()
-        order = np.argsort(fusion.belief.ids)
-        rows = order[np.searchsorted(fusion.belief.ids, packet.ids, sorter=order)]
-        at = landmark_rows(POSE_DIM, rows)
+        at = landmark_rows(POSE_DIM, rows_of(packet.ids, fusion.belief.ids))
         P = fusion.belief.covariance[np.ix_(at, at)]
         L = np.linalg.cholesky(packet.covariance)
         half = np.linalg.solve(L, P)
