@@ -27,7 +27,7 @@ def view_of(
     given = [g for g in (positions, in_view, observations, born, seen, variance) if g is not None]
     n = len(given[0]) if given else count
     landmark_map = LandmarkMap()
-    landmark_map.append(np.zeros((n, 128), np.uint8), 0)
+    landmark_map.append(np.zeros((n, 128), np.uint8), 0, np.zeros(n, np.uint32))
     landmark_map.observations = np.full(n, 10) if observations is None else np.array(observations)
     landmark_map.born = np.zeros(n, np.intp) if born is None else np.array(born)
     landmark_map.seen = np.full(n, FRAME) if seen is None else np.array(seen)

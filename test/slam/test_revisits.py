@@ -131,7 +131,7 @@ def meeting(vehicle, increments) -> Meeting:
     slam_filter.add_landmarks(first.pixels.astype(float))
     slam_filter.predict(increments[1])
     landmark_map = LandmarkMap()
-    landmark_map.append(first.descriptors, 0)
+    landmark_map.append(first.descriptors, 0, first.tracks)
     return Meeting(slam_filter, landmark_map, names, second, feature_names)
 
 

@@ -60,12 +60,12 @@ class LandmarkMap:
         self,
         descriptors: NDArray[np.uint8],
         frame: int,
-        tracks: NDArray[np.uint32] | None = None,
+        tracks: NDArray[np.uint32],
         *,
         ids: NDArray[np.uint32] | None = None,
         observations: Rows | int = 1,
     ) -> None:
-        """Add landmarks with (M, D) descriptors, observed that often; they get new identifiers unless given."""
+        """Add landmarks with (M, D) descriptors and (M,) tracks, observed that often; `ids` are new unless given."""
         count = len(descriptors)
         self.ids = np.concatenate([self.ids, self.new_ids(count) if ids is None else ids])
         if len(self.descriptors) == 0:
@@ -76,11 +76,9 @@ class LandmarkMap:
         self.seen = np.concatenate([self.seen, np.full(count, frame)])
         self.observations = np.concatenate([self.observations, np.full(count, observations, np.intp)])
         self.revisited = np.concatenate([self.revisited, np.zeros(count, bool)])
-        self.tracks = np.concatenate([self.tracks, np.zeros(count, np.uint32) if tracks is None else tracks])
+        self.tracks = np.concatenate([self.tracks, tracks])
 
-    def observe(
-        self, rows: Rows, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None
-    ) -> None:
+    def observe(self, rows: Rows, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32]) -> None:
         """Record observations of K `rows`; their newest descriptors (K, D) and tracks (K,) replace the old ones.
 
         A continued track keeps its first descriptor: the same descriptor again is not another view.
@@ -91,9 +89,6 @@ class LandmarkMap:
         self.revisited[rows] |= self.long_unseen(frame)[rows]
         self.seen[rows] = frame
         self.observations[rows] += 1
-        if tracks is None:
-            self.tracks[rows] = 0
-            return
         self.tracks[np.isin(self.tracks, tracks)] = 0  # a track observes one landmark only
         self.tracks[rows] = tracks
 
