@@ -28,7 +28,7 @@ from scipy.special import chdtri
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
 from uav_vslam.ins.increments import compose, error_transfer
 from uav_vslam.slam.map_points import MapPoints
 from uav_vslam.slam.pose_equations import TINY_INFORMATION, PoseEquations
@@ -43,8 +43,7 @@ DELAY = 12  # the first of NOISE: of the exposures
 INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # of (rotation, velocity, position), the numbers that affect a frame's pixels
 SIGMA_GRAVITY = 0.03  # [m/s^2] uncertainty of the configured norm of gravity
 ROBUST_STEPS, FINAL_STEPS = 12, 4
-PIXELS = 4  # of one stereo observation
-MEDIAN_CHI2, INLIER_CHI2 = (float(chdtri(PIXELS, beyond)) for beyond in (0.5, 1e-3))
+MEDIAN_CHI2, INLIER_CHI2 = (float(chdtri(STEREO_DOF, beyond)) for beyond in (0.5, 1e-3))
 MIN_DEPTH_M = 0.05  # nearer points, and those behind, are projected from this depth
 
 
@@ -249,7 +248,7 @@ class _Motion:
 
 def _table(pixels: Array, views: list[View]) -> tuple[Array, NDArray[np.bool_]]:
     """Return pixels (N, K, 4) of each point in each frame, and the mask of existing ones (N, K)."""
-    z, seen = np.zeros((len(pixels), len(views) + 1, PIXELS)), np.zeros((len(pixels), len(views) + 1), bool)
+    z, seen = np.zeros((len(pixels), len(views) + 1, STEREO_DOF)), np.zeros((len(pixels), len(views) + 1), bool)
     z[:, 0], seen[:, 0] = pixels, True
     for k, view in enumerate(views, start=1):
         z[view.rows, k], seen[view.rows, k] = view.pixels, True
@@ -290,7 +289,7 @@ def _linearise(
 def _cauchy(chi2: Array, seen: NDArray[np.bool_]) -> Array:
     """Return Cauchy weights of (N, K) squared residuals, scaled by their median or the noise."""
     scale = max(1.0, float(np.median(chi2[seen])) / MEDIAN_CHI2)
-    return np.asarray(seen / (1.0 + chi2 / (PIXELS * scale)))
+    return np.asarray(seen / (1.0 + chi2 / (STEREO_DOF * scale)))
 
 
 def _prior(x: Array, imu: ImuConfig) -> tuple[Array, Array]:
