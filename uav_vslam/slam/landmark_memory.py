@@ -55,13 +55,18 @@ class _Conditional:
 
 
 class LandmarkMemory:
-    """Augments each belief of one vehicle with the remembered landmarks."""
+    """Augments each belief of one vehicle with the remembered landmarks.
+
+    Attributes:
+        last: the newest belief, augmented; None before the first.
+        in_state: (N,) identifiers of its landmarks that are in the filter's state.
+    """
 
     def __init__(self, capacity: int) -> None:
         """Remember at most `capacity` landmarks, spread over the ground."""
         self._capacity = capacity
-        self._last: JointInformation | None = None  # extended
-        self._own: Ids = np.zeros(0, np.uint32)  # of its landmarks, those in the filter's state
+        self.last: JointInformation | None = None
+        self.in_state: Ids = np.zeros(0, np.uint32)
         self._known: _Conditional | None = None
 
     def extended(
@@ -74,20 +79,20 @@ class LandmarkMemory:
             shared: landmarks matched with peers': remembered once they are removed.
             offered: landmarks that were sent to peers and may be matched later: remembered if capacity permits.
         """
-        if self._last is not None and joint.session != self._last.session:
-            self._last = self._known = None
-        if self._last is not None:
-            self._remember(self._last, joint, shared, offered)
+        if self.last is not None and joint.session != self.last.session:
+            self.last = self._known = None
+        if self.last is not None:
+            self._remember(self.last, joint, shared, offered)
         # A copy: its cached covariance is freed with it, while callers keep their record for the whole flight.
         extended = dataclasses.replace(joint) if self._known is None else _joined(joint, self._known)
-        self._last, self._own = extended, joint.ids
+        self.last, self.in_state = extended, joint.ids
         return extended
 
     def _remember(
         self, last: JointInformation, joint: JointInformation, shared: Collection[int], offered: Collection[int]
     ) -> None:
         """Condition the removed and the remembered landmarks on those in the state, where some have come back."""
-        stay, own = np.isin(last.ids, joint.ids), np.isin(last.ids, self._own)
+        stay, own = np.isin(last.ids, joint.ids), np.isin(last.ids, self.in_state)
         old = ~own & ~stay
         left = own & ~stay & np.isin(last.ids, np.fromiter({*shared, *offered}, np.uint32))
         known = self._known

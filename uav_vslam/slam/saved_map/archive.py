@@ -38,11 +38,6 @@ class MapArchive:
         self._observations: Counter[int] = Counter()
         self._stored: set[int] = set()
         self._parts: list[MappedPlace] = []
-        self._last: JointInformation | None = None  # with the remembered landmarks
-        self._in_state: NDArray[np.uint32] = np.zeros(0, np.uint32)  # of its landmarks, those in the filter
-
-    def __len__(self) -> int:
-        return len(self._stored)
 
     def count(self, sightings: Rows) -> None:
         """Count a frame's observations: (K, 2) identifier and feature row."""
@@ -55,12 +50,12 @@ class MapArchive:
             FilterDivergence: its information, or the covariance of some landmarks, is not positive definite.
         """
         cholesky(joint.information, "joint information")  # taken over, it would fail each later belief, and `mapped`
-        if self._last is not None and not np.isin(self._in_state, joint.ids).any():
+        last = self._memory.last
+        if last is not None and not np.isin(self._memory.in_state, joint.ids).any():
             self._parts += self._rest()  # the filter was re-initialised: nothing relates it to the past
-            self._stored |= set(self._last.ids.tolist())
-        wanted = set() if self._last is None else set(self._last.ids.tolist()) - self._stored
+            self._stored |= set(last.ids.tolist())
+        wanted = set() if last is None else set(last.ids.tolist()) - self._stored
         belief = self._memory.extended(joint, wanted)
-        self._last, self._in_state = belief, joint.ids
         open_rows = self._open(belief)
         left = open_rows[~np.isin(belief.ids[open_rows], joint.ids)]
         if len(left) >= LEFT_FOR_SECTION:
@@ -70,7 +65,7 @@ class MapArchive:
 
     def mapped(self) -> Mapped:
         """Return all that has been mapped; what is still in the filter is in the last place."""
-        stamp_ns = 0 if self._last is None else self._last.stamp_ns
+        stamp_ns = 0 if self._memory.last is None else self._memory.last.stamp_ns
         places = (
             dataclasses.replace(place, observations=self._counted(place.ids)) for place in [*self._parts, *self._rest()]
         )
@@ -82,7 +77,7 @@ class MapArchive:
     def _open(self, belief: JointInformation) -> Rows:
         """Return the rows of landmarks that are in no section yet: remembered, or observed often enough."""
         stored = np.array([i in self._stored for i in belief.ids.tolist()], bool)
-        young = np.isin(belief.ids, self._in_state) & (self._counted(belief.ids) < MIN_OBSERVATIONS)
+        young = np.isin(belief.ids, self._memory.in_state) & (self._counted(belief.ids) < MIN_OBSERVATIONS)
         return np.flatnonzero(~stored & ~young)
 
     def _chosen(self, belief: JointInformation, left: Rows, rows: Rows) -> Rows:
@@ -94,7 +89,7 @@ class MapArchive:
 
     def _rest(self) -> list[MappedPlace]:
         """Return sections of all landmarks of the last belief that are in none yet."""
-        belief, parts = self._last, []
+        belief, parts = self._memory.last, []
         rows = np.zeros(0, np.intp) if belief is None else self._open(belief)
         while belief is not None and len(rows):
             some = self._chosen(belief, rows[:0], rows)
