@@ -20,6 +20,13 @@ def motion(start_ns: int, stamp_ns: int) -> ImuIncrement:
     return preintegrate([], start_ns, stamp_ns, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), imu=ImuConfig())
 
 
+def started(start_ns: int) -> FrameQueue:
+    """Return a queue that knows the start state's stamp."""
+    queue = FrameQueue()
+    queue.start_ns = start_ns
+    return queue
+
+
 def drain(queue: FrameQueue) -> list[tuple[int, int]]:
     """Return (stamp, number of features) of each frame that is complete."""
     out = []
@@ -33,7 +40,7 @@ def drain(queue: FrameQueue) -> list[tuple[int, int]]:
 @pytest.mark.parametrize("when", list(itertools.combinations(range(5), 2)))
 def test_frames_and_increments_arrive_in_any_order(when: tuple[int, int]) -> None:
     frames, motions = iter([frame(10), frame(20), frame(30)]), iter([motion(10, 20), motion(20, 30)])
-    queue, got = FrameQueue(10), []
+    queue, got = started(10), []
     for k in range(5):
         if k in when:
             queue.add_increment(next(motions))
@@ -55,7 +62,7 @@ def test_nothing_is_ready_before_the_start_is_known_and_older_frames_are_dropped
 
 
 def test_a_start_between_two_frames_is_reached_by_motion_alone() -> None:
-    queue = FrameQueue(15)
+    queue = started(15)
     queue.add_features(frame(10))
     queue.add_features(frame(20))
     queue.add_increment(motion(15, 20))
@@ -63,7 +70,7 @@ def test_a_start_between_two_frames_is_reached_by_motion_alone() -> None:
 
 
 def test_an_image_without_features_is_bridged() -> None:
-    queue = FrameQueue(10)
+    queue = started(10)
     queue.add_increment(motion(10, 20))
     queue.add_increment(motion(20, 30))
     assert drain(queue) == []  # its features may still arrive
@@ -73,7 +80,7 @@ def test_an_image_without_features_is_bridged() -> None:
 
 
 def test_a_frame_without_increment_does_not_block_the_others() -> None:
-    queue = FrameQueue(10)
+    queue = started(10)
     for stamp_ns in (20, 30):
         queue.add_features(frame(stamp_ns))
     queue.add_increment(motion(10, 30))  # the INS did not receive the image at 20
@@ -83,7 +90,7 @@ def test_a_frame_without_increment_does_not_block_the_others() -> None:
 
 @pytest.mark.parametrize("repeated", [10, 20])
 def test_a_repeated_frame_is_used_once_and_blocks_nothing(repeated: int) -> None:
-    queue = FrameQueue(10)
+    queue = started(10)
     for stamp_ns in sorted([10, 20, 30, repeated]):
         queue.add_features(frame(stamp_ns))
     queue.add_increment(motion(10, 20))
@@ -93,7 +100,7 @@ def test_a_repeated_frame_is_used_once_and_blocks_nothing(repeated: int) -> None
 
 
 def test_the_queue_is_bounded() -> None:
-    queue = FrameQueue(0)
+    queue = started(0)
     for stamp_ns in range(10, 10 + 2 * MAX_WAITING):
         queue.add_features(frame(stamp_ns))
     queue.add_increment(motion(0, 10 + MAX_WAITING))
@@ -110,7 +117,7 @@ def test_frames_that_overflow_before_the_start_is_known_count_as_before_it() -> 
 
 def test_motion_continues_without_features_and_none_is_lost() -> None:
     """A camera that is silent for much longer than the queue's capacity."""
-    queue, got = FrameQueue(0), []
+    queue, got = started(0), []
     count = 3 * MAX_WAITING
     for k in range(count):
         queue.add_increment(motion(10 * k, 10 * (k + 1)))
@@ -125,7 +132,7 @@ def test_motion_continues_without_features_and_none_is_lost() -> None:
 @pytest.mark.parametrize(("period", "late"), [(4, 0), (10, 1), (30, 4)])
 def test_a_slow_front_end_is_waited_for(period: int, late: int) -> None:
     """It processes one image in `period`, 1.5 periods late; the first ones may count as lost."""
-    queue, got = FrameQueue(0), []
+    queue, got = started(0), []
     for k in range(1, 10 * period):
         queue.add_increment(motion(10 * (k - 1), 10 * k))
         seen = k - period - period // 2
@@ -138,7 +145,7 @@ def test_a_slow_front_end_is_waited_for(period: int, late: int) -> None:
 
 
 def test_features_later_than_their_increment_are_dropped() -> None:
-    queue = FrameQueue(0)
+    queue = started(0)
     for k in range(MAX_AHEAD + 2):
         queue.add_increment(motion(10 * k, 10 * (k + 1)))
     assert drain(queue) == [(10, 0), (20, 0)]
@@ -149,7 +156,7 @@ def test_features_later_than_their_increment_are_dropped() -> None:
 
 
 def test_a_frame_whose_increment_was_lost_comes_without_one() -> None:
-    queue = FrameQueue(10)
+    queue = started(10)
     for stamp_ns in (10, 20, 30, 40):
         queue.add_features(frame(stamp_ns))
     queue.add_increment(motion(20, 30))  # the one from 10 to 20 was lost
@@ -159,7 +166,7 @@ def test_a_frame_whose_increment_was_lost_comes_without_one() -> None:
 
 
 def test_increments_from_before_the_stamp_reached_are_refused_and_counted() -> None:
-    queue = FrameQueue(10)
+    queue = started(10)
     for stamp_ns in (20, 30):
         queue.add_features(frame(stamp_ns))
     queue.add_increment(motion(5, 20))  # it does not begin at the start state
@@ -172,7 +179,7 @@ def test_increments_from_before_the_stamp_reached_are_refused_and_counted() -> N
 
 def test_no_increment_is_lost_while_frames_come_that_show_nothing_new() -> None:
     """Each frame says that the cameras are alive, so that motion waits; not until the oldest falls out."""
-    queue, reached = FrameQueue(0), 0
+    queue, reached = started(0), 0
     for k in range(MAX_WAITING + 20):
         queue.add_increment(motion(10 * k, 10 * k + 10))
         queue.add_features(frame(-1))  # from before the start
@@ -187,7 +194,7 @@ def test_no_increment_is_lost_while_frames_come_that_show_nothing_new() -> None:
 
 @pytest.mark.parametrize("apart", [-1, 1, 30])
 def test_frames_whose_stamps_are_beside_those_of_the_increments_are_told_with_the_difference(apart: int) -> None:
-    queue = FrameQueue(0)
+    queue = started(0)
     for k in range(1, 6):
         queue.add_features(frame(100 * k + apart))
         queue.add_increment(motion(100 * (k - 1), 100 * k))
@@ -203,7 +210,7 @@ def test_frames_whose_stamps_are_beside_those_of_the_increments_are_told_with_th
 
 def test_most_frames_without_an_increment_of_their_stamp_are_told_though_some_have_one() -> None:
     """As where camera_info, which ends the increments, comes once a second."""
-    queue = FrameQueue(0)
+    queue = started(0)
     for k in range(1, 36):
         queue.add_features(frame(100 * k))
         if k % 7 == 0:

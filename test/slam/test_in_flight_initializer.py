@@ -10,6 +10,7 @@ from uav_vslam.config import BackendConfig, ImuConfig, StartConfig, VehicleConfi
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rpy_from_rotation, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.slam import in_flight_initializer
 from uav_vslam.slam.in_flight_initializer import MIN_VIEWS, InFlightInitializer, Start
 from uav_vslam.types import StereoFeatures
 
@@ -152,9 +153,10 @@ def test_a_wrong_calibration_has_another_reason_than_too_few_features(flown) -> 
     assert "fit one motion; check calibration, IMU axes and units" in search.reason
 
 
-def test_a_larger_uncertainty_than_configured_is_refused(flown) -> None:
+def test_a_larger_uncertainty_than_allowed_is_refused(flown, monkeypatch) -> None:
     flight = flown(1)
-    search = InFlightInitializer(flight.vehicle.rig, config(), max_tilt_sigma_deg=0.1)
+    monkeypatch.setattr(in_flight_initializer, "MAX_TILT_SIGMA_DEG", 0.1)
+    search = InFlightInitializer(flight.vehicle.rig, config())
     assert feed(search, flight.frames) is None
     assert "and tilt to 0." in search.reason
     assert "m/s and 0.1 deg" in search.reason
@@ -208,9 +210,10 @@ def test_a_gap_in_the_motion_restarts_the_window(flown) -> None:
     assert search.dropped == 4
 
 
-def test_a_longer_window_uses_some_frames_and_keeps_all(flown) -> None:
+def test_a_longer_window_uses_some_frames_and_keeps_all(flown, monkeypatch) -> None:
     flight = flown(1)
-    found = feed(InFlightInitializer(flight.vehicle.rig, config(), window_s=2.0), flight.frames)
+    monkeypatch.setattr(in_flight_initializer, "WINDOW_S", 2.0)
+    found = feed(InFlightInitializer(flight.vehicle.rig, config()), flight.frames)
     assert found is not None
     assert len(found.frames) == 16
     assert velocity_error(flight.vehicle, found) < VELOCITY_M_S

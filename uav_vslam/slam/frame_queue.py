@@ -25,8 +25,8 @@ class FrameQueue:
         apart_ns: of the last of those, its stamp minus that of the nearest end of an increment [ns].
     """
 
-    def __init__(self, start_ns: int | None = None) -> None:
-        self.start_ns = start_ns
+    def __init__(self) -> None:
+        self.start_ns: int | None = None
         self.before_start = 0
         self.before_rig = 0
         self.lost = 0

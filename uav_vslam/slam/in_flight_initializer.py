@@ -95,16 +95,8 @@ class InFlightInitializer:
         dropped: frames dropped as the window moved.
     """
 
-    def __init__(
-        self,
-        rig: StereoRig,
-        config: VehicleConfig,
-        *,
-        window_s: float = WINDOW_S,
-        max_tilt_sigma_deg: float = MAX_TILT_SIGMA_DEG,
-    ) -> None:
+    def __init__(self, rig: StereoRig, config: VehicleConfig) -> None:
         self._rig, self._config = rig, config
-        self._window_s, self._max_tilt_sigma_deg = window_s, max_tilt_sigma_deg
         self._buffer: list[Frame] = []
         self.reason = "no frame has arrived"
         self.dropped = 0
@@ -140,7 +132,7 @@ class InFlightInitializer:
 
     def _window_is_full(self) -> bool:
         span_ns = self._buffer[-1][0].stamp_ns - self._buffer[0][0].stamp_ns
-        full = len(self._buffer) > MIN_VIEWS and span_ns >= self._window_s * NS_PER_S
+        full = len(self._buffer) > MIN_VIEWS and span_ns >= WINDOW_S * NS_PER_S
         if not full and self.dropped == 0:
             self.reason = f"{len(self._buffer)} frames over {span_ns / NS_PER_S:.1f} s have arrived, not yet enough"
         return full
@@ -293,11 +285,11 @@ class InFlightInitializer:
             )
         start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt_rad(found)))
         velocity = _largest_sigma(found, VELOCITY)
-        if velocity > start.velocity_sigma or tilt_deg > self._max_tilt_sigma_deg:
+        if velocity > start.velocity_sigma or tilt_deg > MAX_TILT_SIGMA_DEG:
             bias_deg = np.rad2deg(self._config.imu.accel_bias_sigma / self._config.imu.gravity)
             raise InsufficientEvidence(
                 f"velocity is known to {velocity:.2f} m/s and tilt to {tilt_deg:.2f} deg only, not to "
-                f"{start.velocity_sigma:g} m/s and {self._max_tilt_sigma_deg:g} deg; start.velocity_sigma sets the "
+                f"{start.velocity_sigma:g} m/s and {MAX_TILT_SIGMA_DEG:g} deg; start.velocity_sigma sets the "
                 f"former, imu.accel_bias_sigma leaves {bias_deg:.2f} deg of the latter, and more points that stay in "
                 "view longer improve both"
             )
