@@ -132,7 +132,7 @@ def test_a_readout_that_explains_no_more_is_not_used(flown, monkeypatch) -> None
     flight = flown(1, frames=24, tracked_px=PX)
     stage, right = flight.tracking_stage(PX), flight.tracking_stage(PX)
     expected = feed(right, flight.frames)
-    monkeypatch.setattr(SlamFlight, "contradicting_timing", Timing(0.02))
+    monkeypatch.setattr(SlamFlight, "contradicting_timing", Timing(0.02, 0.0))
     for output, other in zip(feed(stage, flight.frames), expected, strict=True):
         assert output.readout_s == 0.0
         np.testing.assert_array_equal(output.report.pose.T_map_body.t, other.report.pose.T_map_body.t)

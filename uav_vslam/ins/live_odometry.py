@@ -39,9 +39,7 @@ class LiveOdometry:
         T_odom_body: the pose in the odometry frame at the same stamp.
     """
 
-    def __init__(
-        self, initial: NavEstimate, imu: ImuConfig, statistics: ImuStatistics, *, period_s: float = 0.0
-    ) -> None:
+    def __init__(self, initial: NavEstimate, imu: ImuConfig, statistics: ImuStatistics, *, period_s: float) -> None:
         """Start at a state, where both frames coincide.
 
         Args:
@@ -76,12 +74,11 @@ class LiveOdometry:
             return False
         period_s, imu = self._statistics.period_s, self._statistics.imu
         increment = self._preintegrated(self._readings, period_s, imu, start_ns, sample.stamp_ns)
-        step = _Step(increment, self._readings, period_s, imu)
-        self._steps.append(step)
+        self._steps.append(_Step(increment, self._readings, period_s, imu))
         self._readings = [sample]
         before = self.estimate.state.T_map_body
-        self.increment = step.increment
-        self.estimate = advance(self.estimate, step.increment, self._imu)
+        self.increment = increment
+        self.estimate = advance(self.estimate, increment, self._imu)
         self.T_odom_body = self.T_odom_body @ before.inverse() @ self.estimate.state.T_map_body
         if self._pending is not None and self._pending.state.stamp_ns <= sample.stamp_ns:
             self._apply(self._pending)

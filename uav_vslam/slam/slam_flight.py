@@ -39,7 +39,7 @@ class Timing:
     """
 
     readout_s: float
-    time_offset_s: float = 0.0
+    time_offset_s: float
 
 
 class SlamFlight:
@@ -59,10 +59,10 @@ class SlamFlight:
         config: VehicleConfig,
         vehicle: str,
         session: int,
-        archive: MapArchive | None = None,
-        start_map: SavedMap | None = None,
-        announced: bool = True,
-        time_offset_s: float = 0.0,
+        archive: MapArchive | None,
+        start_map: SavedMap | None,
+        announced: bool,
+        time_offset_s: float,
     ) -> None:
         """Begin at a start state.
 
@@ -72,7 +72,7 @@ class SlamFlight:
             config: of the vehicle.
             vehicle: its name.
             session: number of this start of it.
-            archive: takes all landmarks.
+            archive: takes all landmarks; None if they are not kept.
             start_map: on which the start state depends, if any.
             announced: fusion knows the session; a new one it gets to know by the first frame's joint information.
             time_offset_s: of the cameras' clock, as it was measured [s].

@@ -25,7 +25,7 @@ MANY_UNPAIRED = 10  # recent frames without an increment of their stamp: no acci
 
 
 class SlamStage:
-    """Pairs features with IMU increments, initialises in flight if configured, and runs `SlamBackend`.
+    """Pairs features with IMU increments, initialises in flight if configured, and runs a `SlamFlight`.
 
     Attributes:
         rig: calibration; nothing is processed while it is None.
@@ -132,7 +132,7 @@ class SlamStage:
         """The newest estimate; None before the first frame."""
         return self._flight.backend.nav if self._flight is not None else None
 
-    def restarted(self, session: int, initial: NavEstimate | None = None) -> "SlamStage":
+    def restarted(self, session: int, initial: NavEstimate | None) -> "SlamStage":
         """Return a stage that starts again, with the same settings, rig and map to start in; it reads no file.
 
         Args:
