@@ -15,7 +15,7 @@ TINY_INFORMATION = 1e-9  # of unobserved directions, so that the equations stay 
 
 @dataclass(frozen=True, slots=True)
 class PoseEquations:
-    """Normal equations of all poses, H (6K, 6K) and b (6K,), with the points eliminated.
+    """Normal equations of all poses, with the points eliminated.
 
     Attributes:
         H, b: (6K, 6K) and (6K,) the equations.
@@ -30,6 +30,13 @@ class PoseEquations:
 
     @staticmethod
     def of(residual: Array, J_pose: Array, J_point: Array, weight: Array) -> "PoseEquations":
+        """Eliminate N points from K observations of each.
+
+        Args:
+            residual: (N, K, 4).
+            J_pose: (N, K, 4, 6) and J_point: (N, K, 4, 3) of the prediction.
+            weight: (N, K), 0 where there is no observation.
+        """
         count, frames = weight.shape
         W_pose = weight[..., None, None] * J_pose.swapaxes(-1, -2)
         W_point = weight[..., None, None] * J_point.swapaxes(-1, -2)

@@ -80,15 +80,13 @@ class MapLocator:
         matched.sort(key=lambda found: -len(found[1]))
         fits = [self._fit(section, pixels, pairs) for section, pairs in matched[:TRIED_SECTIONS]]
         best = max((fit for fit in fits if fit is not None), key=lambda fit: fit.inliers, default=None)
-        most = len(matched[0][1]) if matched else 0
-        self.reason = (
-            ""
-            if best
-            else (
+        self.reason = ""
+        if best is None:
+            most = len(matched[0][1]) if matched else 0
+            self.reason = (
                 f"of {len(features)} points at most {most} resemble landmarks of one section of the map, "
                 f"and fewer than {MIN_INLIERS} of them fit one pose"
             )
-        )
         return best
 
     def _matches(self, section: MapSection, features: StereoFeatures) -> Rows:
