@@ -44,7 +44,6 @@ class Smoothed:
 
     Attributes:
         estimates: one for each frame, in stamp order.
-        steps: of Gauss-Newton.
         points, dropped: used, and refused by the gate.
         landmarks: seen again after long, that close loops.
         noise: of the pixels, as measured.
@@ -52,7 +51,6 @@ class Smoothed:
     """
 
     estimates: tuple[NavEstimate, ...]
-    steps: int
     points: int
     dropped: int
     landmarks: int
@@ -213,7 +211,6 @@ def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig, mapped
         mapped = smoothed_landmarks(mapped, positions, last.point_errors(marginals), stamp_ns=end_ns)
     return Smoothed(
         tuple(estimates),
-        step,
         points=len(problem.points),
         dropped=found - len(problem.points),
         landmarks=len(problem.landmarks),
