@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uav_vslam.geometry.image_grid import CELLS_PER_AXIS, spread
+from uav_vslam.geometry.image_grid import CELLS_PER_AXIS, spread, spread_after
 
 SIZE = (640, 480)
 CELL = (SIZE[0] / CELLS_PER_AXIS, SIZE[1] / CELLS_PER_AXIS)
@@ -43,3 +43,11 @@ def test_a_smaller_selection_is_a_prefix_of_a_larger_one(pixels, count: int) -> 
 @pytest.mark.parametrize("pixels", [[], np.zeros((0, 2))])
 def test_no_points_give_no_selection(pixels) -> None:
     assert spread(pixels, 5, size=SIZE).shape == (0,)
+
+
+def test_over_the_ground_those_that_go_first_leave_the_rest_of_the_room_to_others() -> None:
+    ground = np.column_stack([np.repeat([0.0, 100.0], 3), np.zeros((6, 2))])  # two places
+    assert spread_after(ground, np.array([4]), np.array([0, 1, 2, 5]), 3).tolist() == [4, 0, 5]
+    assert spread_after(ground, np.array([0, 1, 3]), np.array([4]), 2).tolist() == [0, 3]
+    assert spread_after(ground, np.array([2]), np.array([0]), 9).tolist() == [2, 0]
+    assert spread_after(ground, np.zeros(0, np.intp), np.zeros(0, np.intp), 9).tolist() == []

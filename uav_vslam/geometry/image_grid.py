@@ -30,12 +30,12 @@ def spread(pixels: ArrayLike, count: int, *, size: tuple[float, float], taken: A
     return np.argsort(rank[len(before) :], kind="stable")[:count]
 
 
-def spread_on_ground(positions: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Select `count` of (N, 3) points [m] the same way, over the ground they cover; all if there are no more."""
-    if len(positions) <= count:
-        return np.arange(len(positions))
-    plan, size = ground_plan(positions)
-    return spread(plan, count, size=size)
+def spread_after(
+    positions: NDArray[np.float64], first: NDArray[np.intp], others: NDArray[np.intp], count: int
+) -> NDArray[np.intp]:
+    """Return up to `count` rows of (N, 3) points [m]: those that go first, then others, each spread over the ground."""
+    chosen = first[_spread_on_ground(positions[first], count)]
+    return np.concatenate([chosen, others[_spread_on_ground(positions[others], count - len(chosen))]])
 
 
 def ground_plan(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[float, float]]:
@@ -43,6 +43,14 @@ def ground_plan(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], tu
     plan = positions[:, :2] - positions[:, :2].min(axis=0, initial=np.inf)
     extent = np.maximum(plan.max(axis=0, initial=0.0), 1e-3)
     return plan, (float(extent[0]), float(extent[1]))
+
+
+def _spread_on_ground(positions: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """Select `count` of (N, 3) points [m] as `spread` does, over the ground they cover; all if there are no more."""
+    if len(positions) <= count:
+        return np.arange(len(positions))
+    plan, size = ground_plan(positions)
+    return spread(plan, count, size=size)
 
 
 def _cells(points: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.intp]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.geometry.image_grid import spread_on_ground
+from uav_vslam.geometry.image_grid import spread_after
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import inverse_spd, solve_spd, symmetrise
 from uav_vslam.search import rows_of
@@ -111,10 +111,7 @@ class LandmarkMemory:
     def _spread(self, joint: JointInformation, rows: Rows, shared: Collection[int]) -> Rows:
         """Return rows up to the capacity, shared ones first, spread over the ground."""
         first = np.isin(joint.ids[rows], np.fromiter(shared, np.uint32, len(shared)))
-        chosen = rows[first][spread_on_ground(joint.positions[rows[first]], self._capacity)]
-        others = rows[~first]
-        others = others[spread_on_ground(joint.positions[others], self._capacity - len(chosen))]
-        return np.concatenate([chosen, others])
+        return spread_after(joint.positions, rows[first], rows[~first], self._capacity)
 
 
 def _conditional(joint: JointInformation, given: Rows, wanted: Rows) -> _Conditional:

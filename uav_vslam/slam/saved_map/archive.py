@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.geometry.image_grid import spread_on_ground
+from uav_vslam.geometry.image_grid import spread_after
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import cholesky, submatrix
 from uav_vslam.slam.landmark_memory import LandmarkMemory
@@ -82,10 +82,8 @@ class MapArchive:
 
     def _chosen(self, belief: JointInformation, left: Rows, rows: Rows) -> Rows:
         """Return the rows of a section: those that have left, then the others, spread over the ground."""
-        first = left[spread_on_ground(belief.positions[left], SECTION_LANDMARKS)]
         others = rows[~np.isin(rows, left)]
-        others = others[spread_on_ground(belief.positions[others], SECTION_LANDMARKS - len(first))]
-        return np.sort(np.concatenate([first, others]))
+        return np.sort(spread_after(belief.positions, left, others, SECTION_LANDMARKS))
 
     def _rest(self) -> list[MappedPlace]:
         """Return sections of all landmarks of the last belief that are in none yet."""
