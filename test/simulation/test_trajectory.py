@@ -65,14 +65,14 @@ def test_velocity_acceleration_and_rate_are_derivatives_of_the_pose(truth: Traje
 def test_queries_take_scalars_and_empty_arrays(truth: Trajectory) -> None:
     assert truth.pose(1.0).R.shape == (3, 3)
     assert truth.position(np.zeros(0)).shape == (0, 3)
-    assert truth.specific_force_body(np.zeros(0)).shape == (0, 3)
+    assert truth.specific_force_body(np.zeros(0), gravity=GRAVITY).shape == (0, 3)
 
 
 @pytest.mark.parametrize("pattern", sorted(PATTERNS))
 def test_turns_are_coordinated_and_bank_into_the_turn(pattern: str) -> None:
     truth = smooth_flight(pattern)
     t = np.linspace(0.0, 60.0, 601)
-    force, rate = truth.specific_force_body(t), truth.angular_rate_body(t)
+    force, rate = truth.specific_force_body(t, gravity=GRAVITY), truth.angular_rate_body(t)
     assert np.abs(force[:, 1]).max() < 0.1  # no side force
     assert np.abs(rate[:, 2]).max() > 0.05  # it does turn
     body_y_up = truth.rotation(t)[:, 2, 1]

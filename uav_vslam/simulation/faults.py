@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from uav_vslam.simulation.camera_render import RenderedFlight, motion_kernel
 from uav_vslam.simulation.scenario import SimulatedVehicle
@@ -56,7 +55,8 @@ def _blurred(_: FaultState, frame: StereoFrame) -> StereoFrame:
 
 
 def _faded(_: FaultState, frame: StereoFrame) -> StereoFrame:
-    return StereoFrame(frame.stamp_ns, *(_scaled(image, FADE) for image in (frame.left, frame.right)))
+    faded = (cv2.convertScaleAbs(image, alpha=FADE) for image in (frame.left, frame.right))
+    return StereoFrame(frame.stamp_ns, *faded)
 
 
 def _frozen(state: FaultState, frame: StereoFrame) -> StereoFrame:
@@ -129,7 +129,3 @@ def end_s(fault: str, begin_s: float, vehicle: SimulatedVehicle) -> float:
     if not fault:
         return begin_s
     return min(begin_s + FAULTS[fault].duration_s, vehicle.scenario.duration_s)
-
-
-def _scaled(image: NDArray[np.generic], factor: float) -> NDArray[np.generic]:
-    return np.asarray(cv2.convertScaleAbs(image, alpha=factor))

@@ -137,7 +137,8 @@ class SolidPainter:
     def _box(self, solid: Solid) -> Box | None:
         """Return a rectangle of the image that contains a solid, None if it is out of view."""
         west, south, east, north = solid.bounds
-        corners = np.array([[x, y, z] for x in (west, east) for y in (south, north) for z in _heights(solid)])
+        heights = solid.foot_z, solid.highest_z
+        corners = np.array([[x, y, z] for x in (west, east) for y in (south, north) for z in heights])
         in_cam = self._pose.inverse().apply(corners)
         width, height = self._camera.size
         if in_cam[:, 2].min() < IN_FRONT_M:
@@ -166,10 +167,6 @@ def _edges(hits: Hits) -> NDArray[np.bool_]:
     out[1:] |= down
     out[:-1] |= down
     return out
-
-
-def _heights(solid: Solid) -> tuple[float, float]:
-    return solid.foot_z, solid.highest_z
 
 
 def _pixels_in(box: Box) -> Array:

@@ -51,7 +51,6 @@ def recording_of(vehicle: SimulatedVehicle, ground: Ground) -> FlightRecording:
 
 def _truth(vehicle: SimulatedVehicle) -> Iterator[TruthSample]:
     """Yield the true motion at a fixed rate and at each frame."""
-
     frames = vehicle.frame_stamps_ns
     regular = np.arange(frames[0], frames[-1] + 1, NS_PER_S // TRUTH_RATE_HZ)
     stamps = np.union1d(regular, frames)

@@ -174,10 +174,12 @@ def _paste(out: Grey, tile: Grey, x: int, y: int) -> None:
 
 
 def to_grey(values: NDArray[np.floating]) -> Grey:
+    """Return grey levels rounded to 8 bits."""
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
 def noise_tile(octaves: tuple[tuple[int, float], ...], column: int, row: int, seed: int) -> Noise:
+    """Return one (TILE, TILE) tile of noise: the sum of octaves, each a spacing and an amplitude."""
     total = np.zeros((TILE, TILE), np.float32)
     for k, (spacing, amplitude) in enumerate(octaves):
         total += np.float32(amplitude) * octave(spacing, column, row, seed + k)

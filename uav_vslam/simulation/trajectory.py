@@ -75,7 +75,7 @@ class Trajectory:
         z = -pitch_rate * np.sin(roll) + yaw_rate * np.cos(roll) * np.cos(pitch)
         return np.stack([x, y, z], axis=-1)
 
-    def specific_force_body(self, t_s: ArrayLike, *, gravity: float = 9.80665) -> Array:
+    def specific_force_body(self, t_s: ArrayLike, *, gravity: float) -> Array:
         """Return (..., 3) specific forces R^T (a + g e_z) in the body frame [m/s^2]."""
         force_world = self.acceleration(t_s) + np.array([0.0, 0.0, gravity])
         return np.asarray(np.einsum("...ji,...j->...i", self.rotation(t_s), force_world))
