@@ -45,7 +45,7 @@ class StereoFrontend(Frontend):
     """Extracts and matches keypoints of each pair independently; only fault detection uses earlier pairs."""
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig | None = None) -> None:
-        """As `Frontend`; raises `ConfigError` if the extractor is unknown."""
+        """As `Frontend`; raises `ConfigError` if the extractor is not installed."""
         super().__init__(rig, config, rig_config, DISPARITY_NOISE_PX / config.scale)
         self._extractor = make_extractor(config)
 

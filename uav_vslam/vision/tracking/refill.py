@@ -30,7 +30,7 @@ class Refill:
         """Prepare the extractor.
 
         Raises:
-            ConfigError: it is unknown.
+            ConfigError: it is not installed.
         """
         self._scale = config.search_scale
         self._extractor = make_extractor(config)
@@ -80,14 +80,12 @@ def choose_new(pixels: NDArray[np.float32], tracked: Array, count: int, shape: t
     Args:
         pixels: (K, 2) keypoints of an image, strongest first [px].
         tracked: (N, 2) points tracked already [px].
-        count: number wanted.
+        count: number wanted, at least 1.
         shape: (height, width) of the image [px].
 
     Returns:
         (M,) rows of `pixels`, M <= count.
     """
-    if count <= 0 or len(pixels) == 0:
-        return np.zeros(0, np.intp)
     _, first = np.unique(pixels, axis=0, return_index=True)  # one point may have two orientations
     rows = np.sort(first)
     rows = rows[inside(pixels[rows], shape)]
