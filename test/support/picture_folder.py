@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
+from uav_vslam.evaluation.files.geodetic import Datum
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
@@ -90,11 +90,3 @@ def write(images: Sequence[NDArray[np.uint8]], names: Sequence[str], folder: Pat
     for image, name in zip(images, names, strict=True):
         cv2.imwrite(str(folder / name), image)
     return folder
-
-
-def write_positions(positions: Array, names: Sequence[str], folder: Path) -> None:
-    """Write gps.csv of (N, 3) east, north, up [m]."""
-    rows = ["file,lat_deg,lon_deg,alt_m"]
-    for name, (longitude, latitude, height) in zip(names, to_geodetic(positions, DATUM).tolist(), strict=True):
-        rows.append(f"{name},{latitude:.9f},{longitude:.9f},{height:.4f}")
-    (folder / "gps.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
