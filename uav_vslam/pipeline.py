@@ -34,8 +34,7 @@ class VehicleTrack:
         outputs: one per frame processed, in stamp order; without joint information unless that is kept.
         landmarks: as last estimated at an epoch.
         dropped: frames that were not processed, by reason.
-        alarms: frames with a camera or rig fault, by subject.
-        alarms_at: subjects of such faults by the frame's stamp [ns].
+        alarms: subjects of faults of the cameras or the rig, by the frame's stamp [ns].
         features: found in each frame, by its stamp [ns] and without descriptors; empty unless they are kept.
         smoothed: the most likely poses given the whole flight, one per output; empty unless it was smoothed.
         stage_s: processor time of a stage on each frame [s], by the stage's name and the frame's stamp [ns].
@@ -50,8 +49,7 @@ class VehicleTrack:
     outputs: list[FrameOutput] = field(default_factory=list)
     landmarks: LandmarkRecord = field(default_factory=LandmarkRecord)
     dropped: dict[str, int] = field(default_factory=dict)
-    alarms: Counter[str] = field(default_factory=Counter)
-    alarms_at: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    alarms: dict[int, tuple[str, ...]] = field(default_factory=dict)
     features: dict[int, StereoFeatures] = field(default_factory=dict)
     smoothed: list[PoseEstimate] = field(default_factory=list)
     stage_s: dict[str, dict[int, float]] = field(default_factory=lambda: {"frontend": {}, "backend": {}})
@@ -97,6 +95,7 @@ class VehiclePipeline:
             self._slam.start(initial)
         self._refused: Counter[str] = Counter()
         self._told: set[str] = set()
+        self._alarmed: set[str] = set()
         self._is_imu_fault_reported = False
         self.track = VehicleTrack(vehicle)
 
@@ -171,7 +170,7 @@ class VehiclePipeline:
             self._preintegrator.add_frame_stamp(features.stamp_ns)
 
     def _extract_features(self, frame: StereoFrame) -> StereoFeatures:
-        """Run the front end; its alarms are counted, and reported the first time.
+        """Run the front end; its alarms are kept, and each subject is reported the first time.
 
         A refused pair becomes a frame without points: the vehicle is dead-reckoned.
         """
@@ -183,11 +182,11 @@ class VehiclePipeline:
             features = StereoFeatures.empty(frame.stamp_ns)
         self.track.stage_s["frontend"][frame.stamp_ns] = time.process_time() - began_s
         for subject, text in self._frontend.alarms.items():
-            if subject not in self.track.alarms:
+            if subject not in self._alarmed:
                 self.track.warnings.append(f"frame {self.track.frames_in}: {text}")
-            self.track.alarms[subject] += 1
+        self._alarmed |= self._frontend.alarms.keys()
         if self._frontend.alarms:
-            self.track.alarms_at[frame.stamp_ns] = tuple(self._frontend.alarms)
+            self.track.alarms[frame.stamp_ns] = tuple(self._frontend.alarms)
         return features
 
     def _complete(self, increments: list[ImuIncrement]) -> list[FrameOutput]:

@@ -97,7 +97,7 @@ def _vehicle_result(
         frames_processed=len(track.outputs),
         closures=sum(output.report.closures for output in track.outputs),
         frames=tuple(output.quality for output in track.outputs),
-        alarms=track.alarms_at,
+        alarms=track.alarms,
         dropped=track.dropped,
         landmarks=track.landmarks.landmarks(),
         link=link_counters(sender) if sender else LinkCounters(),

@@ -86,9 +86,7 @@ def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float
 
 def _row(flown: Sequence[FaultRun]) -> Row:
     reports = [output.report for one in flown for output in one.track.outputs]
-    alarms: Counter[str] = Counter()
-    for one in flown:
-        alarms.update(one.track.alarms)
+    alarms = Counter(subject for one in flown for subjects in one.track.alarms.values() for subject in subjects)
     scores = [one.scores for one in flown]
     recovered = [one.recovered_frames for one in flown]
     words = [value for value in recovered if isinstance(value, str)]
