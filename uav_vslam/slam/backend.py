@@ -95,7 +95,7 @@ class SlamBackend:
         matcher: MapMatcher | None = None,
     ) -> None:
         """Start at a state; `matcher` replaces the configured one."""
-        self._rig, self._vehicle_config, self._config = rig, config, config.backend
+        self._rig, self._config = rig, config
         self._vehicle, self._session = vehicle, session
         self._matcher = matcher or MapMatcher(config.backend)
         self._map = LandmarkMap()
@@ -123,8 +123,10 @@ class SlamBackend:
     @property
     def track_sigma_px(self) -> float:
         """Standard deviation of a tracked point's right pixel about its left one, as configured or as measured [px]."""
-        configured_px = self._config.track_sigma_px
-        return self._track_noise.sigma_px(configured_px) if self._config.track_noise_from_images else configured_px
+        configured = self._config.backend
+        if not configured.track_noise_from_images:
+            return configured.track_sigma_px
+        return self._track_noise.sigma_px(configured.track_sigma_px)
 
     @property
     def landmarks(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
@@ -151,7 +153,7 @@ class SlamBackend:
 
     def set_imu(self, imu: ImuConfig) -> None:
         """Go on with another noise of the IMU."""
-        self._vehicle_config = dataclasses.replace(self._vehicle_config, imu=imu)
+        self._config = dataclasses.replace(self._config, imu=imu)
         self._filter.imu = imu
 
     @property
@@ -186,7 +188,7 @@ class SlamBackend:
         step = self._step(increment, features)
         self._increment, features = step.increment, step.features
         if increment is not None:
-            self._fallbacks.propagate(increment, self._vehicle_config.imu)
+            self._fallbacks.propagate(increment, self._config.imu)
         outcome = self._estimate(step)
         if outcome.is_confirmed:
             self._fallbacks.confirm(self._nav)
@@ -229,7 +231,7 @@ class SlamBackend:
             outcome.recovery = self._health.check(outcome.innovation, features=len(features), known=outcome.known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
-                self._nav = advance(self._nav, increment, self._vehicle_config.imu)
+                self._nav = advance(self._nav, increment, self._config.imu)
             outcome.recovery = str(error)
         return outcome
 
@@ -246,12 +248,12 @@ class SlamBackend:
         """
         missed = not outcome.is_confirmed and min(len(step.features), outcome.known) >= MIN_FEATURES
         if vibration := self._noticed_vibration():
-            self._imu_fault = ImuFaultDetector(self._vehicle_config.imu.gravity)  # images missed for another reason
+            self._imu_fault = ImuFaultDetector(self._config.imu.gravity)  # images missed for another reason
             outcome.recovery, outcome.restart = vibration, self._fallbacks.unaided
         elif increment is not None and self._imu_fault.add(
             increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
         ):
-            imu, is_gyro_healthy = self._vehicle_config.imu, self._imu_fault.is_gyro_healthy
+            imu, is_gyro_healthy = self._config.imu, self._imu_fault.is_gyro_healthy
             self._nav = self._fallbacks.without_readings(self._nav, imu, is_gyro_healthy=is_gyro_healthy)
             outcome.recovery = self._imu_fault.reason
 
@@ -294,7 +296,7 @@ class SlamBackend:
             closures=outcome.closures,
             tracked=outcome.tracked,
             coasted=step.increment is not None and associated == 0,
-            gate_probability=self._config.gate_probability,
+            gate_probability=self._config.backend.gate_probability,
             smoothed=outcome.smoothed,
             flexing=self._flexing,
             sightings=np.vstack([outcome.sightings, self._local_map.new_sightings(added)]),
@@ -303,7 +305,7 @@ class SlamBackend:
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
-        self._vehicle_config, self._config = config, config.backend
+        self._config = config
         self._local_map.configure(config.backend)
         self._filter.sigma_px = config.backend.sigma_px
         self._window.configure(config.backend)
@@ -375,7 +377,7 @@ class SlamBackend:
 
     def _recover(self, at: NavEstimate | None) -> None:
         """Re-initialise the filter at an estimate; None for the newest one with an inflated covariance."""
-        self._reset(at or reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
+        self._reset(at or reinitialised(self._nav, since_s=self._since_start_s, imu=self._config.imu))
         if self._increment is not None:
             self._filter.ends(self._increment)
 
@@ -386,13 +388,13 @@ class SlamBackend:
 
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
-        rig_config = dataclasses.replace(self._vehicle_config.rig, flexing=self._flexing)
-        config = dataclasses.replace(self._vehicle_config, rig=rig_config)
+        rig_config = dataclasses.replace(self._config.rig, flexing=self._flexing)
+        config = dataclasses.replace(self._config, rig=rig_config)
         self._filter = make_filter(initial, rig=self._rig, config=config)
         self._map.remove(np.arange(len(self._map)))
-        self._window = TrackWindow(past_poses(config), self._config)
+        self._window = TrackWindow(past_poses(config), config.backend)
         self._local_map = LocalMap(
-            self._map, self._matcher, slam_filter=self._filter, window=self._window, config=self._config
+            self._map, self._matcher, slam_filter=self._filter, window=self._window, config=config.backend
         )
         self._filter.expect_time_offset(self._time_offset_s)
         self._health = FilterHealth()
@@ -423,8 +425,8 @@ class SlamBackend:
             features,
             self._filter.nav,
             rig=self._filter.rig,
-            imu=self._vehicle_config.imu,
-            threshold_px=self._config.pnp_px,
+            imu=self._config.imu,
+            threshold_px=self._config.backend.pnp_px,
             imu_fault=self._imu_fault,
         )
 
