@@ -30,6 +30,7 @@ class SlamStage:
     Attributes:
         rig: calibration; nothing is processed while it is None.
         initial: start state; None until given or found.
+        session: number of this start of the vehicle.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class SlamStage:
         Raises:
             MapError: the map of `start.map` can't be read, or is empty and to be started in.
         """
-        self._config, self._vehicle, self._session = config, vehicle, session
+        self._config, self._vehicle, self.session = config, vehicle, session
         self._in_flight = config.start.searches
         self._queue = FrameQueue()
         self._search: InFlightInitializer | None = None
@@ -118,11 +119,6 @@ class SlamStage:
         return self._flight.backend.imu_fault if self._flight is not None else ""
 
     @property
-    def session(self) -> int:
-        """Number of this start of the vehicle."""
-        return self._session
-
-    @property
     def stamp_ns(self) -> int | None:
         """Time of the estimate [ns]; None before the first frame."""
         return self._flight.backend.stamp_ns if self._flight is not None else None
@@ -178,7 +174,7 @@ class SlamStage:
     def mapped(self) -> Mapped:
         """Return all landmarks mapped until the last epoch; none without `keep_map`."""
         if self._flight is None or self._flight.archive is None:
-            return Mapped(self._origin(self._session))
+            return Mapped(self._origin(self.session))
         mapped = self._flight.archive.mapped()
         others = self._start_map.origin.sources if self._start_map else ()
         return dataclasses.replace(mapped, origin=dataclasses.replace(mapped.origin, other_sources=others))
@@ -287,8 +283,8 @@ class SlamStage:
             rig=rig,
             config=config,
             vehicle=self._vehicle,
-            session=self._session,
-            archive=MapArchive(self._origin(self._session)) if self._keep_map else None,
+            session=self.session,
+            archive=MapArchive(self._origin(self.session)) if self._keep_map else None,
             start_map=self._start_map,
             announced=self._is_announced,
             time_offset_s=time_offset_s,
