@@ -72,7 +72,6 @@ class PredictedObservation:
 
     Attributes:
         landmarks: (M,) indices.
-        points_left: (M, 3) landmarks in the left camera frame [m].
         expected: (M, 4) stereo pixels.
         H_vehicle: (M, 4, vehicle), H_landmark: (M, 4, 3).
         R: (M, 4, 4) noise [px^2].
@@ -80,7 +79,6 @@ class PredictedObservation:
     """
 
     landmarks: Indices
-    points_left: Array
     expected: Array
     H_vehicle: Array
     H_landmark: Array
@@ -131,15 +129,7 @@ class Jacobians:
         return Process(moved, from_map @ F15 @ to_map, from_map @ Q15 @ from_map.T)
 
     def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Marginals) -> PredictedObservation:
-        points_left, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        at = smoothed(
-            points_left, _depth_variance(J_vehicle, J_landmark, P), depth_sigma_ratio=camera.depth_sigma_ratio
-        )
-        H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
-        expected = camera.rig.project(points_left)
-        sigma_px = camera.sigma_px * camera.rig.magnification(expected)
-        R = sigma_px[:, None, None] ** 2 * np.eye(4)
-        return PredictedObservation(which, points_left, expected, H_vehicle, H_landmark, R, P)
+        return _expanded(camera, which, landmarks, P)[0]
 
 
 class Cubature:
@@ -166,14 +156,11 @@ class Cubature:
 
     def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Marginals) -> PredictedObservation:
         """Regress where all points of a landmark are in front of the cameras; elsewhere as `Jacobians`."""
-        first = Jacobians().observation(camera, which, landmarks, P)
+        first, points_left, at = _expanded(camera, which, landmarks, P)
         if len(landmarks) == 0:
             return first
-        _, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        depth_variance = _depth_variance(J_vehicle, J_landmark, P)
-        at = smoothed(first.points_left, depth_variance, depth_sigma_ratio=camera.depth_sigma_ratio)
         L = np.asarray(np.linalg.cholesky(_pose_landmark_covariance(P)), dtype=np.float64)
-        points = self._points(camera, landmarks, cubature_offsets(L)) + (at - first.points_left)[:, None]
+        points = self._points(camera, landmarks, cubature_offsets(L)) + (at - points_left)[:, None]
         near = np.minimum(points[..., 2], camera.rig.T_right_left.apply(points)[..., 2]).min(axis=1)
         good = near > MIN_DEPTH_M
         seen = camera.rig.project(np.where(good[:, None, None], points, [0.0, 0.0, 1.0]))
@@ -183,7 +170,7 @@ class Cubature:
         H_landmark[good] = A[good, :, 6:]
         R = first.R + extra * good[:, None, None]
         expected = first.expected + shift * good[:, None]
-        return PredictedObservation(which, first.points_left, expected, H_vehicle, H_landmark, R, P)
+        return PredictedObservation(which, expected, H_vehicle, H_landmark, R, P)
 
     @staticmethod
     def _points(camera: Camera, landmarks: Array, offsets: Array) -> Array:
@@ -243,6 +230,22 @@ def regress(values: Array, centre: Array, L: Array) -> tuple[Array, Array, Array
     bend = bend - shift[..., None, :]
     A = np.swapaxes(np.linalg.solve(np.swapaxes(L, -1, -2), slope), -1, -2)
     return shift, A, np.swapaxes(bend, -1, -2) @ bend / d
+
+
+def _expanded(
+    camera: Camera, which: Indices, landmarks: Array, P: Marginals
+) -> tuple[PredictedObservation, Array, Array]:
+    """Return the first-order expansion of `Linearisation.observation`.
+
+    Also return the (M, 3) landmarks in the left camera frame, and where the Jacobians are evaluated [m].
+    """
+    points_left, J_vehicle, J_landmark = camera_points(camera, landmarks)
+    at = smoothed(points_left, _depth_variance(J_vehicle, J_landmark, P), depth_sigma_ratio=camera.depth_sigma_ratio)
+    H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
+    expected = camera.rig.project(points_left)
+    sigma_px = camera.sigma_px * camera.rig.magnification(expected)
+    R = sigma_px[:, None, None] ** 2 * np.eye(4)
+    return PredictedObservation(which, expected, H_vehicle, H_landmark, R, P), points_left, at
 
 
 def _depth_variance(J_vehicle: Array, J_landmark: Array, P: Marginals) -> Array:
