@@ -55,7 +55,6 @@ class SlamStage:
             MapError: the map of `start.map` can't be read, or is empty and to be started in.
         """
         self._config, self._vehicle, self.session = config, vehicle, session
-        self._in_flight = config.start.searches
         self._queue = FrameQueue()
         self._search: InFlightInitializer | None = None
         self._flight: SlamFlight | None = None  # begins with the first frame
@@ -161,9 +160,9 @@ class SlamStage:
 
     def start(self, initial: NavEstimate) -> None:
         """Set the start state; a later one counts only before the first frame, and not in flight."""
-        if self.initial is None or (self._flight is None and not self._in_flight):
+        if self.initial is None or (self._flight is None and not self._config.start.searches):
             self.initial = initial
-            if self._queue.start_ns is None or not self._in_flight:
+            if self._queue.start_ns is None or not self._config.start.searches:
                 self._queue.start_ns = initial.state.stamp_ns
 
     @property
@@ -212,7 +211,7 @@ class SlamStage:
 
     def add_increment(self, increment: ImuIncrement) -> None:
         """Add the motion between two images."""
-        if self._in_flight and self._queue.start_ns is None:
+        if self._config.start.searches and self._queue.start_ns is None:
             self._queue.start_ns = increment.start_ns
         self._queue.add_increment(increment, has_rig=self.rig is not None)
 
