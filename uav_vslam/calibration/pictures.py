@@ -58,13 +58,13 @@ class BagPictures:
     """Pairs of a recording, evenly spread over it.
 
     Attributes:
-        paths: bags.
+        path: of the bag.
         topics: of the left and of the right images.
         count: left images recorded.
         most: pairs to use.
     """
 
-    paths: tuple[Path, ...]
+    path: Path
     topics: tuple[str, str]
     count: int
     most: int
@@ -76,7 +76,7 @@ class BagPictures:
         """Yield stamp [s], left and right picture of each pair; of a message without a stamp, when it was recorded."""
         pairer: StereoPairer[RawMessage] = StereoPairer()
         number = 0
-        for raw in iter_raw(self.paths, self.topics):
+        for raw in iter_raw([self.path], self.topics):
             side = "left" if raw.topic == self.topics[0] else "right"
             try:
                 pair = pairer.add(side, header_stamp_ns(raw.data), raw)
@@ -264,4 +264,4 @@ def _of_bag(path: Path, topics: Sequence[str] | None, most: int) -> BagPictures:
     for topic in (left, right):
         if recorded[topic].msgtype not in IMAGE_TYPES:
             raise CalibrationError(f"{topic} is of {recorded[topic].msgtype}, no images; name others by --topics")
-    return BagPictures((path,), (left, right), recorded[left].count, most)
+    return BagPictures(path, (left, right), recorded[left].count, most)
