@@ -26,6 +26,7 @@ from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from uav_vslam.config import ImuConfig
+from uav_vslam.estimation.observation import MIN_DEPTH_M
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
@@ -44,7 +45,6 @@ INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # of (rotation, velocity, position), the nu
 SIGMA_GRAVITY = 0.03  # [m/s^2] uncertainty of the configured norm of gravity
 ROBUST_STEPS, FINAL_STEPS = 12, 4
 MEDIAN_CHI2, INLIER_CHI2 = (float(chdtri(STEREO_DOF, beyond)) for beyond in (0.5, 1e-3))
-MIN_DEPTH_M = 0.05  # nearer points, and those behind, are projected from this depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +279,7 @@ def _linearise(
     R, p = poses
     body = np.einsum("kji,nkj->nki", R, points[:, None] - p)
     left = (body - rig.T_body_left.t) @ rig.T_body_left.R
-    left[..., 2] = np.maximum(left[..., 2], MIN_DEPTH_M)
+    left[..., 2] = np.maximum(left[..., 2], MIN_DEPTH_M)  # nearer points, and those behind, are outliers
     J_body = rig.project_jacobian(left) @ rig.T_body_left.R.T / noise_px[..., None]
     J_point = J_body @ R.transpose(0, 2, 1)
     J_pose = np.concatenate([J_body @ skew(body), -J_point], axis=-1)
