@@ -125,17 +125,20 @@ class InFlightInitializer:
             except (FilterDivergence, np.linalg.LinAlgError) as error:
                 self.reason = f"the frames show no motion that can be computed: {error}"
             self._slide()
+        if self.dropped == 0:
+            span_s = self._span_ns / NS_PER_S
+            self.reason = f"{len(self._buffer)} frames over {span_s:.1f} s have arrived, not yet enough"
         return None
 
     def _joins(self, increment: ImuIncrement) -> bool:
         return bool(self._buffer) and increment.start_ns == self._buffer[-1][0].stamp_ns
 
+    @property
+    def _span_ns(self) -> int:
+        return self._buffer[-1][0].stamp_ns - self._buffer[0][0].stamp_ns
+
     def _window_is_full(self) -> bool:
-        span_ns = self._buffer[-1][0].stamp_ns - self._buffer[0][0].stamp_ns
-        full = len(self._buffer) > MIN_VIEWS and span_ns >= WINDOW_S * NS_PER_S
-        if not full and self.dropped == 0:
-            self.reason = f"{len(self._buffer)} frames over {span_ns / NS_PER_S:.1f} s have arrived, not yet enough"
-        return full
+        return len(self._buffer) > MIN_VIEWS and self._span_ns >= WINDOW_S * NS_PER_S
 
     def _slide(self) -> None:
         self.dropped += 1
