@@ -83,8 +83,8 @@ class SlamFlight:
         self.archive = archive
         self.motion_lost = 0
         self._rig, self._config, self._start_map = rig, config, start_map
-        self._start_watch, self._dead_reckoning = StartWatch(config.start.method, config.imu), DeadReckoning(config.imu)
-        self._start_watch.start(initial)
+        self._start_watch = StartWatch(initial, config.start.method, config.imu)
+        self._dead_reckoning = DeadReckoning(config.imu)
         self._dead_reckoning.start(initial)
         self._rig_monitor, self._noise_monitor = RigMonitor(config.rig), NoiseMonitor(config.imu)
         self._shutter = ShutterMonitor(config.rig)

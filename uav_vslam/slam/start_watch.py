@@ -19,14 +19,11 @@ class StartWatch:
     a wrong start is certain and wrong.
     """
 
-    def __init__(self, method: str, imu: ImuConfig) -> None:
-        """Begin before the first frame, with `start.method`."""
+    def __init__(self, initial: NavEstimate, method: str, imu: ImuConfig) -> None:
+        """Begin at a start state that was found by `start.method`."""
         self._method = method
         self._trusting, self._doubting = StartMonitor(method), StartMonitor(method, scaled=True)
         self._doubted = DeadReckoning(imu)  # from a start state that may be wrong
-
-    def start(self, initial: NavEstimate) -> None:
-        """Set the start state."""
         self._doubted.start(doubted_start(initial))
 
     def add_motion(self, increment: ImuIncrement) -> None:
