@@ -92,7 +92,7 @@ class ImuPreintegrator:
 
 
 class DeadReckoning:
-    """The INS baseline: dead reckoning from the start state, never corrected.
+    """The INS baseline: dead reckoning from the start state, never corrected; until that is known, increments wait.
 
     Attributes:
         estimate: the newest; None until the start state is known.
@@ -114,16 +114,17 @@ class DeadReckoning:
         return states
 
     def add(self, increment: ImuIncrement) -> list[NavEstimate]:
-        """Return the dead-reckoned state at the end of an increment; empty until the start state is known.
-
-        After a lost increment that part of the motion is unknown.
-        """
+        """Return the dead-reckoned state at the end of an increment; empty until the start state is known."""
         if self.estimate is None:
             self._startup_buffer.append(increment)
             return []
-        since = bridged(increment, self.estimate.state.stamp_ns, self._imu)
-        self.estimate = advance(self.estimate, since, self._imu)
+        self.estimate = dead_reckoned(self.estimate, increment, self._imu)
         return [self.estimate]
+
+
+def dead_reckoned(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> NavEstimate:
+    """Return an estimate at the end of a later increment; what is lost of the motion in between is unknown."""
+    return advance(estimate, bridged(increment, estimate.state.stamp_ns, imu), imu)
 
 
 def advance(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> NavEstimate:

@@ -9,7 +9,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.increments import bridged, lacks_readings, unknown_motion_since
-from uav_vslam.ins.preintegrator import DeadReckoning
+from uav_vslam.ins.preintegrator import dead_reckoned
 from uav_vslam.ins.propagation import propagate
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.bias_steps import BiasStepMonitor
@@ -84,8 +84,7 @@ class SlamFlight:
         self.motion_lost = 0
         self._rig, self._config, self._start_map = rig, config, start_map
         self._start_watch = StartWatch(initial, config.start.method, config.imu)
-        self._dead_reckoning = DeadReckoning(config.imu)
-        self._dead_reckoning.start(initial)
+        self._dead_reckoned = initial
         self._rig_monitor, self._noise_monitor = RigMonitor(config.rig), NoiseMonitor(config.imu)
         self._shutter = ShutterMonitor(config.rig)
         self._bias_steps = BiasStepMonitor()
@@ -152,10 +151,9 @@ class SlamFlight:
             backend, report = self._bias_steps.check(backend, features, increment, report, self._config)
         self.backend = backend
         self._was_motion_unknown |= backend.imu_fault != ""
-        dead_reckoned, of_start = self._dead_reckoning.estimate, ""
-        assert dead_reckoned is not None  # started with the flight
+        of_start = ""
         if not report.recovery and not self._was_motion_unknown:  # what follows contradicts a correct start
-            report, of_start = self._start_watch.check(backend, report, features, dead_reckoned)
+            report, of_start = self._start_watch.check(backend, report, features, self._dead_reckoned)
         report, joint = self._with_joint(backend, report, features)
         if report.recovery:
             self._was_recovered = True
@@ -165,7 +163,7 @@ class SlamFlight:
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
         warnings = (*noisy, of_clock, of_shutter, of_start, of_map, self._warning(report))
         told = tuple(text for text in warnings if text)
-        return FrameOutput(report, dead_reckoned, joint, increment, told, self._config.rig.readout_s)
+        return FrameOutput(report, self._dead_reckoned, joint, increment, told, self._config.rig.readout_s)
 
     def _motion(self, backend: SlamBackend, stamp_ns: int, increment: ImuIncrement | None) -> ImuIncrement | None:
         """Return the motion from the estimate to a frame, unknown as far as no increment has it; None for none."""
@@ -175,7 +173,7 @@ class SlamFlight:
         if increment is None:
             return None
         # before the filter, which may fail: the baseline must not miss a step
-        self._dead_reckoning.add(increment)
+        self._dead_reckoned = dead_reckoned(self._dead_reckoned, increment, self._config.imu)
         self._start_watch.add_motion(increment)
         self.motion_lost += increment.start_ns != backend.stamp_ns
         increment = bridged(increment, backend.stamp_ns, self._config.imu)

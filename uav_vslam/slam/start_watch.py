@@ -4,7 +4,7 @@
 import dataclasses
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.ins.preintegrator import DeadReckoning
+from uav_vslam.ins.preintegrator import dead_reckoned
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.recovery import doubted_start
@@ -23,12 +23,11 @@ class StartWatch:
         """Begin at a start state that was found by `start.method`."""
         self._method = method
         self._trusting, self._doubting = StartMonitor(method), StartMonitor(method, scaled=True)
-        self._doubted = DeadReckoning(imu)  # from a start state that may be wrong
-        self._doubted.start(doubted_start(initial))
+        self._doubted, self._imu = doubted_start(initial), imu  # dead reckoning from a start state that may be wrong
 
     def add_motion(self, increment: ImuIncrement) -> None:
         """Add the motion up to the next frame."""
-        self._doubted.add(increment)
+        self._doubted = dead_reckoned(self._doubted, increment, self._imu)
 
     def stop(self, stamp_ns: int) -> None:
         """Stop watching: from now on the state does not depend on the start."""
@@ -40,7 +39,7 @@ class StartWatch:
         return self._trusting.trusts(stamp_ns) or self._doubting.trusts(stamp_ns)
 
     def check(
-        self, backend: SlamBackend, report: FrameReport, features: StereoFeatures, dead_reckoned: NavEstimate
+        self, backend: SlamBackend, report: FrameReport, features: StereoFeatures, unaided: NavEstimate
     ) -> tuple[FrameReport, str]:
         """Return a frame's report, and a warning if it contradicts the start.
 
@@ -48,12 +47,12 @@ class StartWatch:
             backend: has processed the frame; it may be re-initialised.
             report: of the frame.
             features: of the frame.
-            dead_reckoned: dead reckoning from the start state to the frame, never corrected.
+            unaided: dead reckoning from the start state to the frame, never corrected.
         """
-        finding = self._trusting.add(report, dead_reckoned)
+        finding = self._trusting.add(report, unaided)
         doubting = dataclasses.replace(report, as_calibrated=report.doubting or report.as_calibrated)
-        contradiction = self._doubting.add(doubting, dead_reckoned)
+        contradiction = self._doubting.add(doubting, unaided)
         if not contradiction:  # a wrong calibration explains the finding, and the filter expects one
             return report, finding
         self._trusting = StartMonitor(self._method)
-        return backend.recovered(report, features, contradiction, start=self._doubted.estimate), ""
+        return backend.recovered(report, features, contradiction, start=self._doubted), ""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig, VehicleConfig, load_vehicle
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
+from uav_vslam.ins.preintegrator import ImuPreintegrator, dead_reckoned
 from uav_vslam.simulation.landmarks import PER_FRAME, LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.slam.backend import SlamBackend
@@ -161,16 +161,17 @@ def dead_reckon(
     initial: NavEstimate, imu: ImuConfig, samples: Iterable[ImuSample], stamps_ns: Sequence[int]
 ) -> tuple[list[ImuIncrement | None], Trajectory]:
     """Return the motion to each frame, None for the first, which has the start state; and the INS's poses there."""
-    preintegrator, ins = ImuPreintegrator(imu, initial.state), DeadReckoning(imu)
+    preintegrator = ImuPreintegrator(imu, initial.state)
     increments: list[ImuIncrement | None] = [None]
-    poses = [estimate.pose for estimate in ins.start(initial)]
+    estimate, poses = initial, [initial.pose]
     for stamp_ns in stamps_ns[1:]:
         preintegrator.add_frame_stamp(stamp_ns)
     for sample in samples:
         preintegrator.add_imu(sample)
         for increment in preintegrator.increments():  # at once, so that readings are not stored for a whole flight
             increments.append(increment)
-            poses += [estimate.pose for estimate in ins.add(increment)]
+            estimate = dead_reckoned(estimate, increment, imu)
+            poses.append(estimate.pose)
     return increments, Trajectory.from_estimates(poses)
 
 
