@@ -24,7 +24,7 @@ from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks  # noqa: E402
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet  # noqa: E402
 from uav_vslam.simulation.source import SimulatedSource  # noqa: E402
-from uav_vslam.slam.in_flight_initializer import Frame  # noqa: E402
+from uav_vslam.slam.frame_queue import Frame  # noqa: E402
 from uav_vslam.slam.saved_map import MappedPlace, load_map, save_map  # noqa: E402
 from uav_vslam.slam.stage import SlamStage  # noqa: E402
 from waiting import wait_for  # noqa: E402

@@ -12,8 +12,7 @@ from uav_vslam.config import InputConfig, VehicleConfig
 from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.frame_output import FrameOutput
-from uav_vslam.slam.frame_queue import MAX_WAITING
-from uav_vslam.slam.in_flight_initializer import Frame
+from uav_vslam.slam.frame_queue import MAX_WAITING, Frame
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 

@@ -15,6 +15,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.rig_belief import TimeOffset
 from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.frame_queue import Frame
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MIN_FEATURES
 from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
@@ -33,7 +34,7 @@ class _Past:
     """A back end as it was, and the frames that the present one has processed since."""
 
     backend: SlamBackend
-    frames: list[tuple[StereoFeatures, ImuIncrement | None]] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
 
     @property
     def stamp_ns(self) -> int:

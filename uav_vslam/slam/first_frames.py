@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from uav_vslam.slam.frame_output import FrameOutput
+from uav_vslam.slam.frame_queue import Frame
 from uav_vslam.slam.slam_flight import SlamFlight, Timing
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
@@ -25,7 +26,7 @@ class FirstFrames:
     """The frames of a flight while it is not known when its images are exposed."""
 
     def __init__(self) -> None:
-        self._kept: list[tuple[StereoFeatures, ImuIncrement | None]] | None = []
+        self._kept: list[Frame] | None = []
         self._outputs: list[FrameOutput] = []  # of the present flight
         self._times = 0
 

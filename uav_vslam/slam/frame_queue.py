@@ -5,6 +5,8 @@ from collections import deque
 
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
+Frame = tuple[StereoFeatures, ImuIncrement | None]  # motion since the one before: none at the start, or if lost
+
 MAX_WAITING = 100  # frames or increments waiting for their counterpart or the start; then the oldest is dropped
 MAX_AHEAD = 10  # increments that arrive and wait without any features; then the cameras count as silent
 MOST_UNPAIRED = 20  # that are counted, so that some paired frames show that all is well again
@@ -56,7 +58,7 @@ class FrameQueue:
         self._increments.append(increment)
         self._ahead += 1
 
-    def pop(self) -> tuple[StereoFeatures, ImuIncrement | None] | None:
+    def pop(self) -> Frame | None:
         """Return the next frame with the increment up to it; None while none is complete.
 
         A frame has none at the start state itself, and where increments were lost. Without features, motion continues
@@ -84,7 +86,7 @@ class FrameQueue:
         """Return whether a frame's increment was lost: the next one begins at its stamp or later."""
         return self._reached_ns is not None and bool(self._increments) and stamp_ns <= self._increments[0].start_ns
 
-    def _bridge_silence(self) -> tuple[StereoFeatures, ImuIncrement] | None:
+    def _bridge_silence(self) -> Frame | None:
         """Return the oldest increment with an empty frame, if the cameras count as silent; None if not."""
         waiting = len(self._increments)
         if min(self._ahead, waiting) <= MAX_AHEAD and waiting < MAX_WAITING:
@@ -92,7 +94,7 @@ class FrameQueue:
         self._ahead -= 1  # one per arrival: features that are merely late may still be paired
         return self._bridge()
 
-    def _bridge(self) -> tuple[StereoFeatures, ImuIncrement]:
+    def _bridge(self) -> Frame:
         """Return the oldest increment with an empty frame."""
         increment = self._increments.popleft()
         self._reached_ns = increment.stamp_ns

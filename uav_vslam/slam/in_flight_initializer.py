@@ -26,12 +26,11 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import levelled, unlike_gravity
 from uav_vslam.ins.increments import compose
+from uav_vslam.slam.frame_queue import Frame
 from uav_vslam.slam.rolling_shutter import pixels_at_once
 from uav_vslam.slam.visual_inertial_alignment import GRAVITY, GYRO_BIAS, VELOCITY, Alignment, View, align
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, StereoFeatures
 from uav_vslam.vision.matching.nn_ratio import match_descriptors
-
-Frame = tuple[StereoFeatures, ImuIncrement | None]
 
 WINDOW_S = 1.0  # of the frames that the start is found from
 MAX_TILT_SIGMA_DEG = 3.0  # frames that leave roll and pitch less certain are not used

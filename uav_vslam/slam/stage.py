@@ -13,8 +13,8 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.first_frames import FirstFrames
 from uav_vslam.slam.frame_output import FrameOutput
-from uav_vslam.slam.frame_queue import FrameQueue
-from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
+from uav_vslam.slam.frame_queue import Frame, FrameQueue
+from uav_vslam.slam.in_flight_initializer import InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.saved_map import MapOrigin, Mapped, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive

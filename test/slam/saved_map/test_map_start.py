@@ -20,7 +20,7 @@ from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import observe
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.clocked_stage import ClockedStage
-from uav_vslam.slam.in_flight_initializer import Frame
+from uav_vslam.slam.frame_queue import Frame
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.saved_map import load_map, save_map
 from uav_vslam.slam.stage import SlamStage
