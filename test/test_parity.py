@@ -47,7 +47,6 @@ EUROC_NEES = (0.3, 3.0)
 EUROC_COASTED = 3
 
 Launched = Callable[..., AbstractContextManager[Any]]
-Flown = tuple[dict[str, VehicleTrack], dict[str, CooperativeTrack]]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,8 +6,8 @@ import numpy as np
 from uav_vslam.association.descriptor_statistics import PRIOR_VIEWS, DescriptorStatistics
 
 
-def views(count, landmarks=3, seed=1):
-    return np.random.default_rng(seed).integers(0, 256, (count, landmarks, 16)).astype(np.uint8)
+def views(count):
+    return np.random.default_rng(1).integers(0, 256, (count, 3, 16)).astype(np.uint8)
 
 
 def test_mean_and_scatter_cover_all_views_in_any_order():

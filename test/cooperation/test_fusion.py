@@ -77,10 +77,6 @@ def fuse(
     return fusion.fuse(own)
 
 
-def own_covariance(own: JointInformation) -> Array:
-    return np.linalg.inv(own.information)
-
-
 def assert_belief(epoch: FusedEpoch, own: JointInformation, Y: Array, gradient: Array) -> None:
     """Check a result against information Y (over pose and landmarks) and delta = Y^-1 gradient."""
     pose, positions = move(own.T_map_body, own.positions, np.linalg.solve(Y, gradient))

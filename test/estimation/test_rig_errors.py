@@ -5,7 +5,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from uav_vslam.config import EXACT_RIG, RigConfig
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
@@ -14,8 +13,6 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.simulation.rig import kagaru_rig, rotated_right
 from uav_vslam.types import NavState
-
-Array = NDArray[np.float64]
 
 RIG = kagaru_rig()
 EXACT = EXACT_RIG

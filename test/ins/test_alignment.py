@@ -11,8 +11,8 @@ from uav_vslam.types import ImuSample
 IMU = IMU_GRADES["consumer"]
 
 
-def resting(roll, pitch, *, count=200, gyro_bias=(0.01, -0.02, 0.03), noise=0.01, rng=None):
-    rng = rng or np.random.default_rng(1)
+def resting(roll, pitch, *, count=200, gyro_bias=(0.01, -0.02, 0.03), noise=0.01):
+    rng = np.random.default_rng(1)
     up_body = rotation_from_rpy(roll, pitch, 0.7).T @ [0.0, 0.0, IMU.gravity]
     return [
         ImuSample(

@@ -28,10 +28,10 @@ def flown() -> SimulatedVehicle:
     return vehicle
 
 
-def increments(loss: float, seed: int = 5) -> list[ImuIncrement]:
+def increments(loss: float) -> list[ImuIncrement]:
     """Return the motion between frames, linearised at the true bias, from what a random loss leaves of the readings."""
     vehicle, buffer, found = flown(), ImuBuffer(ImuConfig()), []
-    kept = np.random.default_rng(seed).random(len(vehicle.imu.stamps_ns)) >= loss
+    kept = np.random.default_rng(5).random(len(vehicle.imu.stamps_ns)) >= loss
     readings = iter([sample for sample, keep in zip(vehicle.imu.samples(), kept, strict=True) if keep])
     stamps_ns = vehicle.frame_stamps_ns.tolist()
     for start_ns, stamp_ns in itertools.pairwise(stamps_ns):

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from uav_vslam.config import IMU_GRADES, ImuConfig
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import rotation_from_rpy, so3_exp, so3_log
+from uav_vslam.geometry.rotation import so3_exp, so3_log
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.imu import ideal_imu, simulate_imu
 from uav_vslam.simulation.rig import kagaru_rig
@@ -39,7 +39,6 @@ FRAME_S = 0.14
 DELAY_SIGMA_S = 0.003
 POINTS = 60
 RUNS = 15
-TILTED = rotation_from_rpy(0.05, -0.1, 0.0)
 
 # A consistent estimate's mean NEES over 15 runs of 3 degrees of freedom is within this with 99.8 %.
 BAND = tuple(chi2.ppf([0.001, 0.999], 3 * RUNS) / (3 * RUNS))
