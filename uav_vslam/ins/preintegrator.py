@@ -34,7 +34,6 @@ class ImuPreintegrator:
 
         With `at_next_image` only the bias is the start state's.
         """
-        self._imu = imu
         self._gyro_bias = np.zeros(3) if start is None else start.gyro_bias
         self._accel_bias = np.zeros(3) if start is None else start.accel_bias
         self._buffer = ImuBuffer(imu)
