@@ -178,8 +178,10 @@ class Vehicle:
     @property
     def mode(self) -> str:
         """Communication mode; empty if not yet known."""
+        if self.link is not None:
+            return self.link.mode
         fusion = self.nodes.get("fusion")
-        return self.link.mode if self.link else fusion.values.get("mode", "") if fusion else ""
+        return "" if fusion is None else fusion.values.get("mode", "")
 
     @property
     def dropped(self) -> dict[str, int]:

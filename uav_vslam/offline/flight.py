@@ -60,5 +60,6 @@ def fly(
             on_frame(1)
     fleet.land()
     for vehicle, member in fleet.members.items():
-        flights.tracks[vehicle].warnings += [member.warning] if member.warning else []
+        if member.warning:
+            flights.tracks[vehicle].warnings.append(member.warning)
     return {vehicle: flights.tracks[vehicle] for vehicle in vehicles}, fleet.members
