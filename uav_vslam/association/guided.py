@@ -40,27 +40,5 @@ def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> 
 
 def gated(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
     """Match the nearest descriptors with ratio test and mutual check, among features inside a landmark's gate."""
-    return associate(
-        in_view.expected,
-        in_view.S,
-        in_view.descriptors,
-        seen.pixels.astype(float),
-        seen.descriptors,
-        probability=config.gate_probability,
-        ratio=config.min_descriptor_ratio,
-    )
-
-
-def associate(
-    predicted: Array,
-    S: Array,
-    landmark_descriptors: NDArray[np.uint8],
-    observed: Array,
-    descriptors: NDArray[np.uint8],
-    *,
-    probability: float,
-    ratio: float,
-) -> NDArray[np.intp]:
-    """Return (K, 2) pairs (landmark row, feature row): nearest descriptor with ratio test among gated candidates."""
-    allowed = gate(predicted, S, observed, probability=probability)
-    return match_gated(landmark_descriptors, descriptors, allowed, ratio)
+    allowed = gate(in_view.expected, in_view.S, seen.pixels.astype(float), probability=config.gate_probability)
+    return match_gated(in_view.descriptors, seen.descriptors, allowed, config.min_descriptor_ratio)

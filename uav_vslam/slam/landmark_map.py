@@ -4,6 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.association import InView
 from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 
 Rows = NDArray[np.intp]
@@ -91,6 +92,10 @@ class LandmarkMap:
         self.observations[rows] += 1
         self.tracks[np.isin(self.tracks, tracks)] = 0  # a track observes one landmark only
         self.tracks[rows] = tracks
+
+    def in_view(self, rows: Rows, expected: NDArray[np.float64], S: NDArray[np.float64]) -> InView:
+        """Return landmarks predicted to be visible in a frame, as associators take them; see `InView`."""
+        return InView(rows, expected, S, self.descriptors[rows], self.statistics.chosen(rows))
 
     def move_to_end(self, rows: Rows) -> None:
         """Put some landmarks behind all others."""

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.association import ASSOCIATORS, Associator, InView
+from uav_vslam.association import ASSOCIATORS, Associator
 from uav_vslam.association.consensus import consensus
 from uav_vslam.config import BackendConfig
 from uav_vslam.estimation.filter import Filter
@@ -93,8 +93,7 @@ class MapMatcher:
         revisited = recognise(slam_filter, landmark_map, features, rows[back], config=self._config)
         free = np.delete(np.arange(len(features)), revisited[:, 1])
         others = rows[~back]
-        statistics = landmark_map.statistics.chosen(others)
-        in_view = InView(others, predicted.expected[~back], S[~back], landmark_map.descriptors[others], statistics)
+        in_view = landmark_map.in_view(others, predicted.expected[~back], S[~back])
         matches = tracks_first(
             self._associate, in_view, landmark_map.tracks[others], features.chosen(free), self._config
         )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtrc
 
 from uav_vslam.association.consensus import consensus
-from uav_vslam.association.guided import associate
+from uav_vslam.association.guided import gated
 from uav_vslam.config import BackendConfig
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.geometry.stereo import STEREO_DOF
@@ -40,19 +40,12 @@ def recognise(
     none = np.zeros((0, 2), np.intp)
     if len(rows) < MIN_GROUP:
         return none
-    predicted, pixels = slam_filter.predict_observations(rows), features.pixels.astype(float)
-    found = associate(
-        predicted.expected,
-        predicted.innovation_covariance(),
-        landmark_map.descriptors[rows],
-        pixels,
-        features.descriptors,
-        probability=config.gate_probability,
-        ratio=config.min_descriptor_ratio,
-    )
+    predicted = slam_filter.predict_observations(rows)
+    in_view = landmark_map.in_view(rows, predicted.expected, predicted.innovation_covariance())
+    found = gated(in_view, features, config)
     if len(found) < MIN_GROUP:
         return none
-    nu, S = slam_filter.joint_innovation(rows[found[:, 0]], pixels[found[:, 1]])
+    nu, S = slam_filter.joint_innovation(rows[found[:, 0]], features.pixels[found[:, 1]].astype(float))
     S = S + config.redetection_px**2 * np.eye(len(S))
     agreeing = consensus(nu, S, probability=config.gate_probability)
     if len(agreeing) < MIN_GROUP or expected_by_chance(S, agreeing) > config.chance_revisits:
