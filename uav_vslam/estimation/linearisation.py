@@ -160,7 +160,9 @@ class Cubature:
         if len(landmarks) == 0:
             return first
         L = np.asarray(np.linalg.cholesky(_pose_landmark_covariance(P)), dtype=np.float64)
-        points = self._points(camera, landmarks, cubature_offsets(L)) + (at - points_left)[:, None]
+        offsets = cubature_offsets(L)
+        points = perturbed_points(camera, landmarks[:, None], offsets[..., :6], offsets[..., 6:])
+        points += (at - points_left)[:, None]
         near = np.minimum(points[..., 2], camera.rig.T_right_left.apply(points)[..., 2]).min(axis=1)
         good = near > MIN_DEPTH_M
         seen = camera.rig.project(np.where(good[:, None, None], points, [0.0, 0.0, 1.0]))
@@ -172,12 +174,18 @@ class Cubature:
         expected = first.expected + shift * good[:, None]
         return PredictedObservation(which, expected, H_vehicle, H_landmark, R, P)
 
-    @staticmethod
-    def _points(camera: Camera, landmarks: Array, offsets: Array) -> Array:
-        """Return (M, 18, 3) landmarks in the left camera frame under (M, 18, 9) errors of pose and landmark."""
-        arms = (landmarks - camera.nav.T_map_body.t)[:, None, :]
-        in_body = camera.model.perturbed_arms(camera.nav, arms, offsets[..., :6], offsets[..., 6:])
-        return np.asarray((in_body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R)
+
+def perturbed_points(camera: Camera, landmarks: Array, pose: Array, landmark: Array) -> Array:
+    """Return (..., 3) landmarks in the left camera frame under errors of pose and landmark [m].
+
+    Args:
+        camera: at the exposure.
+        landmarks: (..., 3) means [m].
+        pose, landmark: (..., 6) and (..., 3) errors as of `StateModel.perturbed_arms`; all three are broadcast.
+    """
+    arms = landmarks - camera.nav.T_map_body.t
+    in_body = camera.model.perturbed_arms(camera.nav, arms, pose, landmark)
+    return np.asarray((in_body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R)
 
 
 def camera_points(camera: Camera, landmarks: Array) -> tuple[Array, Array, Array]:

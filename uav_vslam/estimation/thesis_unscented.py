@@ -22,7 +22,7 @@ from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import NO_ROWS, Indices, Update, landmark_rows
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
-from uav_vslam.estimation.linearisation import PredictedObservation
+from uav_vslam.estimation.linearisation import PredictedObservation, perturbed_points
 from uav_vslam.estimation.models import POSE
 from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.ins.propagation import propagate, transition
@@ -95,10 +95,8 @@ class ThesisUnscentedFilter(Filter):
     def _project(self, chi: Array, predicted: PredictedObservation) -> Array:
         """Return (2n+1, 4M) pixels of the observed landmarks at each sigma point."""
         camera = self._camera()
-        arms = self.landmarks[predicted.landmarks] - camera.nav.T_map_body.t
         own = chi[:, landmark_rows(self.vehicle, predicted.landmarks)].reshape(len(chi), -1, 3)
-        in_body = camera.model.perturbed_arms(camera.nav, arms, chi[:, None, POSE], own)
-        points_left = (in_body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R
+        points_left = perturbed_points(camera, self.landmarks[predicted.landmarks], chi[:, None, POSE], own)
         if points_left[..., 2].min(initial=np.inf) <= 0.0:
             raise FilterDivergence("a sigma point puts a landmark behind the camera")
         return np.asarray(camera.rig.project(points_left).reshape(len(chi), -1))
