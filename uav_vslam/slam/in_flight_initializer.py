@@ -172,7 +172,7 @@ class InFlightInitializer:
         stamps, and leave the tilt as uncertain as is allowed.
         """
         found, imu = self._aligned(pixels, views, self._config.rig.time_offset_sigma_s)
-        sigma, most = self._sigma_tilt_rad(found), float(np.deg2rad(self._max_tilt_sigma_deg))
+        sigma, most = self._sigma_tilt_rad(found), float(np.deg2rad(MAX_TILT_SIGMA_DEG))
         if sigma > most:
             found, imu = self._aligned(pixels, views, 0.0)
             sigma = max(self._sigma_tilt_rad(found), most)
