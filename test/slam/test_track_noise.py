@@ -58,6 +58,16 @@ def test_what_is_configured_counts_where_tracks_are_hardly_noisier(rig: StereoRi
         assert measured(rig, [frame(rig, sigma_px, seed=seed) for seed in range(FRAMES)]) == CONFIGURED_PX
 
 
+def test_wrong_matches_are_no_noise(rig: StereoRig) -> None:
+    """Two of 40 points some pixels off bend a fit through all of them."""
+    frames = []
+    for seed in range(FRAMES):
+        seen = frame(rig, CONFIGURED_PX, count=40, seed=seed)
+        seen.pixels[:2, 2:] += np.random.default_rng(seed).uniform(2.0, 5.0, (2, 2))
+        frames.append(seen)
+    assert measured(rig, frames) == CONFIGURED_PX
+
+
 def test_a_wrong_calibration_is_no_noise(rig: StereoRig) -> None:
     """A right camera turned by 0.05 degrees moves the epipolar lines by about a pixel."""
     turned = Pose(so3_exp(np.radians([0.05, 0.03, 0.05])), np.zeros(3))

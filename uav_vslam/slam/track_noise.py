@@ -28,6 +28,7 @@ LEAST_POINTS = 30  # a frame
 FRAMES = 20  # averaged
 LEAST_STEPS = 3  # from image to image, before they tell of a vibration
 NOISE_RATIO = 1.5  # measured over configured; below it, what is configured counts
+OUTLIER = 5.0  # standard deviations of a point that is matched wrongly: one of them would bend the smooth fit
 MEDIAN_OF_SQUARES = 0.455  # of normal numbers of unit variance
 MEDIAN_ERROR = 1.2533  # standard deviation of the median of many of them, times the root of their number
 
@@ -55,7 +56,9 @@ class TrackNoise:
             return
         raw_per_px = 1.0 / rig.magnification(pixels)
         smooth = _smooth_terms(pixels[:, :2] / (rig.left.width, rig.left.height)) * raw_per_px[:, None]
-        off = off - smooth @ np.linalg.lstsq(smooth, off, rcond=None)[0]
+        deviation = off - np.median(off)
+        right = np.abs(deviation) <= OUTLIER * robust_sigma(deviation)
+        off = off - smooth @ np.linalg.lstsq(smooth[right], off[right], rcond=None)[0]
         freedom = 1.0 - smooth.shape[1] / len(off)
         variance = robust_sigma(off) ** 2 / freedom
         self._frames = min(self._frames + 1, FRAMES)
