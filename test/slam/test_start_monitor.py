@@ -2,12 +2,13 @@
 """A start many sigmas off is detected within seconds; a correct one raises no warning."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
 from fed_stage import feed
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import BackendConfig, VehicleConfig
 from uav_vslam.config.vehicle import START_METHODS, StartConfig
 from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.pose import Pose
@@ -15,6 +16,7 @@ from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.propagation import VELOCITY
 from uav_vslam.slam.frame_output import FrameOutput
 from uav_vslam.slam.frame_report import FrameReport
+from uav_vslam.slam.health import MIN_FEATURES
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.slam.start_monitor import (
     MAX_COASTED,
@@ -23,7 +25,7 @@ from uav_vslam.slam.start_monitor import (
     StartMonitor,
     velocity_correction,
 )
-from uav_vslam.types import NS_PER_S, NavEstimate, NavState
+from uav_vslam.types import NS_PER_S, NavEstimate, NavState, StereoFeatures
 
 REMEDY = "check initial_state and its covariance, the IMU (units, axes, noise), the clocks and the calibration"
 ZERO = np.zeros(3)
@@ -53,6 +55,35 @@ def moved(initial: NavEstimate, *, velocity=ZERO, rotation_deg=ZERO) -> NavEstim
     state = initial.state
     pose = Pose(so3_exp(np.deg2rad(rotation_deg)) @ state.T_map_body.R, state.T_map_body.t)
     return NavEstimate(dataclasses.replace(state, T_map_body=pose, v_map=state.v_map + velocity), initial.covariance)
+
+
+def with_wrong_track(features: StereoFeatures, frame: int) -> StereoFeatures:
+    """Add a point that jumps about, on a track of four frames."""
+    pixels = np.random.default_rng(frame).uniform(100.0, 800.0, (1, 4)).astype(np.float32)
+    return StereoFeatures(
+        features.stamp_ns,
+        np.vstack([features.pixels, pixels]),
+        np.vstack([features.descriptors, features.descriptors[:1]]),
+        np.append(features.tracks, np.uint32(9000 + frame // 4)),
+    )
+
+
+def test_tracks_that_all_began_with_the_first_frame_are_no_evidence_against_it(flown) -> None:
+    """As in hover: they fill the window in one frame, and the next one's views say nothing yet."""
+    flight = flown(1, frames=40, frame_rate_hz=100.0, tracked_px=0.05)
+    lasting = functools.reduce(np.intersect1d, [features.tracks for features, _ in flight.frames])
+    frames = [
+        (with_wrong_track(features.chosen(np.flatnonzero(np.isin(features.tracks, lasting))), frame), step)
+        for frame, (features, step) in enumerate(flight.frames)
+    ]
+    config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, backend=BackendConfig(window_spacing_s=0.0))
+    stage = SlamStage(config, vehicle="uav1")
+    stage.rig = flight.vehicle.rig
+    stage.start(flight.vehicle.initial)
+    outputs = feed(stage, frames)
+    assert len(lasting) >= MIN_FEATURES
+    assert sum(output.report.coasted for output in outputs) >= MAX_COASTED
+    assert not any(output.report.recovery or output.warnings for output in outputs)
 
 
 @pytest.mark.parametrize("seed", range(1, 11))

@@ -56,6 +56,7 @@ class _Outcome:
 
     known: int
     tracked: int
+    renewed: int = 0
     matches: Matches = field(default_factory=Matches.none)
     innovation: Innovation | None = None
     as_calibrated: NavEstimate | None = None
@@ -228,6 +229,7 @@ class SlamBackend:
             if not self._disparity_judge.awaits_evidence:
                 outcome.rig_evidence = self._filter.rig_evidence()
             outcome.known = max(outcome.known, self._window.followed)
+            outcome.renewed = self._window.renewed
             outcome.recovery = self._health.check(outcome.innovation, features=len(features), known=outcome.known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
@@ -246,7 +248,8 @@ class SlamBackend:
             increment: the motion that the IMU measured.
             R_map_body: (3, 3) attitude at the frame before.
         """
-        missed = not outcome.is_confirmed and min(len(step.features), outcome.known) >= MIN_FEATURES
+        telling = min(len(step.features), outcome.known) - outcome.renewed
+        missed = not outcome.is_confirmed and telling >= MIN_FEATURES
         if vibration := self._noticed_vibration():
             self._imu_fault = ImuFaultDetector(self._config.imu.gravity)  # images missed for another reason
             outcome.recovery, outcome.restart = vibration, self._fallbacks.unaided
@@ -295,6 +298,7 @@ class SlamBackend:
             time_offset=outcome.time_offset,
             closures=outcome.closures,
             tracked=outcome.tracked,
+            renewed=outcome.renewed,
             coasted=step.increment is not None and associated == 0,
             gate_probability=self._config.backend.gate_probability,
             smoothed=outcome.smoothed,

@@ -31,6 +31,7 @@ class FrameReport:
         closures: associated landmarks that had not been seen for long.
         doubting: what `nav` is without trusting a calibration that is not judged yet; None if it is.
         tracked: stereo points whose track was in the frame before.
+        renewed: those of them that say nothing yet: all views of their tracks up to this frame have been used.
         coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
         gate_probability: of the gate on observations.
         sightings: (K, 2) identifier and feature row of each point that corrected the state, and of each new landmark.
@@ -54,6 +55,7 @@ class FrameReport:
     closures: int = 0
     doubting: NavEstimate | None = None
     tracked: int = 0
+    renewed: int = 0
     coasted: bool = False
     gate_probability: float = 1.0
     sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))

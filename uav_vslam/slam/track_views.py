@@ -63,6 +63,12 @@ class TrackViews:
         self.tracks, self.pixels, self.seen, self.descriptors = tracks, pixels, seen, descriptors
         self._uses = {track: self._uses[track] for track in shown.tracks.tolist() if track in self._uses}
 
+    @property
+    def renewed(self) -> Mask:
+        """(T,) whether the newest view is the only one that has not been used."""
+        used = np.isin(self.tracks, list(self._uses))
+        return np.asarray(used & (self.counts == 1) & self.seen[:, -1])
+
     def use(self, rows: Rows) -> None:
         """Count the use of some tracks; their views are to be removed."""
         self._uses |= {track: self._uses.get(track, 0) + 1 for track in self.tracks[rows].tolist()}

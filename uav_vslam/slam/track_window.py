@@ -61,6 +61,11 @@ class TrackWindow:
         return int((self.views.seen[:, -1] & (self.views.counts >= MIN_VIEWS)).sum()) if len(self.views) else 0
 
     @property
+    def renewed(self) -> int:
+        """Number of tracks that go on, but whose views up to the newest frame have been used."""
+        return int(self.views.renewed.sum()) if len(self.views) else 0
+
+    @property
     def has_frames(self) -> bool:
         """Whether there have been tracks: past poses of the filter are the frames of their views."""
         return self.views.frames > 0
