@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.cooperation.common_landmarks import blocks, log_sets, map_area
+from uav_vslam.cooperation.common_landmarks import log_sets, map_area
+from uav_vslam.cooperation.data_snooping import predicted_by_others
 from uav_vslam.cooperation.point_pairs import (
     FLAT_SIGMA,
     FRAME_DIM,
@@ -25,9 +26,8 @@ from uav_vslam.cooperation.point_pairs import (
     frame_jacobian,
 )
 from uav_vslam.cooperation.two_point import GATE, Hypotheses, gated, hypotheses
-from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.numerics import inverse_spd, mahalanobis2, submatrix, symmetrise
+from uav_vslam.numerics import inverse_spd
 
 Array = NDArray[np.float64]
 
@@ -134,26 +134,13 @@ def _weights(pairs: PointPairs, T_own_peer: Pose) -> tuple[Array, Array]:
 
 
 def _consistent(pairs: PointPairs, T_own_peer: Pose) -> Rows:
-    """Reject, one by one, the pair farthest from the others' prediction; return the remaining rows.
+    """Return the rows of the pairs that the others predict.
 
-    With T unknown the residuals' information is B = W - W A (A^T W A)^-1 A^T W. Pair k deviates by B_kk^-1 (B r)_k from
-    the prediction of the others, with covariance B_kk^-1 [baarda68]. Removing it is a Schur complement of B.
+    With T unknown the residuals' information is B = W - W A (A^T W A)^-1 A^T W.
     """
-    rows, residual = np.arange(len(pairs)), pairs.residuals(T_own_peer)
     W, A = _weights(pairs, T_own_peer)
     B = W - W @ A @ np.linalg.solve(A.T @ W @ A + np.diag(FLAT_SIGMA**-2), A.T @ W)
-    while len(rows) > 2:  # two are always consistent
-        k = np.arange(len(rows))
-        pull, own = (B @ residual[rows].ravel()).reshape(-1, 3), blocks(B)[k, k]
-        distance2 = mahalanobis2(pull, own)
-        worst = int(np.argmax(distance2))
-        if distance2[worst] <= GATE:
-            break
-        gone, kept = landmark_rows(0, k[worst : worst + 1]), landmark_rows(0, np.delete(k, worst))
-        gain = np.linalg.solve(own[worst], submatrix(B, gone, kept))
-        B = symmetrise(submatrix(B, kept) - submatrix(B, kept, gone) @ gain)
-        rows = np.delete(rows, worst)
-    return rows
+    return predicted_by_others(B, pairs.residuals(T_own_peer), GATE, least=2)  # two are always consistent
 
 
 def _refusal(found: Alignment, relative: PointPairs, tried: Hypotheses) -> Refusal | None:
