@@ -15,6 +15,7 @@ from uav_vslam.cooperation.common_landmarks import (
     consistent,
     gated,
     ground_covariance,
+    jointly_consistent,
 )
 from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import associate
@@ -103,6 +104,19 @@ def test_wrong_matches_inside_a_wide_gate_are_inconsistent_with_the_others(scene
     assert len(found) >= 12 - wrong - 1
 
 
+def test_a_wrong_match_that_each_right_one_allows_is_rejected_by_all_of_them(make_joint) -> None:
+    """An offset to one other landmark is known to 0.7 m per axis, the place among twelve others to 0.5 m."""
+    count = 13
+    at = np.column_stack([np.random.default_rng(2).uniform(-30, 30, (count, 2)), np.zeros(count)])
+    P = block_covariance(count, 30.0)
+    peer = at + np.eye(count)[-1][:, None] * np.array([2.3, 0.0, 0.0])
+    packet = make_packet(make_joint(peer, P, vehicle="uav2"), sequence=1, policy=WHOLE)
+    pairs = np.column_stack([np.arange(count)] * 2)
+    own = OwnLandmarks(at, P[6:, 6:], make_joint(at, P).descriptors)
+    assert len(consistent(pairs, at, P[6:, 6:], packet.positions, packet.covariance, CONFIG)) == count
+    assert associate(own, packet, config=CONFIG).tolist() == pairs[:-1].tolist()
+
+
 def test_maps_farther_apart_than_their_uncertainty_have_no_matches(scene) -> None:
     assert scene(shift_m=15.0) == []
 
@@ -183,6 +197,22 @@ def test_two_pairs_agree_by_the_covariance_of_their_offset(make_joint, direction
     offset = on_the_gate(direction, D @ (P + R) @ D.T + 2 * FLOOR_M**2 * np.eye(3))
     maps = two_maps(make_joint, share * np.outer([-0.5, 0.5], offset), drift_m=30.0)
     assert len(consistent(PAIRS, *maps, WIDE_FLOOR)) == 1 + inside
+
+
+@BESIDE_THE_GATE
+@pytest.mark.parametrize("direction", np.eye(3))
+def test_a_pair_is_judged_by_what_the_others_predict(make_joint, direction, share: float, inside: bool) -> None:
+    """The others know the maps' drift as well as all of them together, not as well as one."""
+    count = 6
+    pairs, others = np.column_stack([np.arange(count)] * 2), slice(3, None)
+    _, P, _, R = two_maps(make_joint, np.zeros((count, 3)), drift_m=30.0)
+    S = P + R + FLOOR_M**2 * np.eye(3 * count)
+    given_others = S[:3, :3] - S[:3, others] @ np.linalg.solve(S[others, others], S[others, :3])
+    offsets = np.zeros((count, 3))
+    offsets[0] = share * on_the_gate(direction, given_others)
+    maps = two_maps(make_joint, offsets, drift_m=30.0)
+    kept = np.arange(count) if inside else np.arange(1, count)
+    assert jointly_consistent(pairs, *maps, WIDE_FLOOR).tolist() == kept.tolist()
 
 
 AREA_M2 = 100.0 * 100.0

@@ -63,8 +63,8 @@ class FusionConfig(Settings):
     )
     association: str = setting(
         "consistent",
-        "data association with peers' landmarks; consistent: by descriptor, gate and pairwise consistency; the others "
-        "need common_origin",
+        "data association with peers' landmarks; consistent: by descriptor, gate and consistency with each other; the "
+        "others need common_origin",
         choices=FUSION_ASSOCIATIONS,
     )
     ratio: float = setting(0.8, "descriptor ratio test between vehicles, before the gate", above=0, at_most=1)

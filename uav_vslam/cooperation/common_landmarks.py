@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data association between a peer's map and ours: descriptors, then gate, then pairwise consistency of the matches.
+"""Data association between a peer's map and ours: descriptors, then gate, then consistency of the matches.
 
 The ratio test precedes the gate, which would leave it no second neighbour. Covariance intersection protects against
-correlation, not against outliers, so the matches must be pairwise consistent, cf. [mangelson18], and closer together
-than wrong ones come by chance: in the wide gates of a map that is very uncertain, these agree, too.
+correlation, not against outliers, so the matches must be pairwise consistent, cf. [mangelson18], each must be where all
+others together predict it, and they must be closer together than wrong ones come by chance: in the wide gates of a map
+that is very uncertain, these agree, too.
 """
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.special import chdtri, gammaln
 
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.data_snooping import predicted_by_others
 from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.received_map import PeerLandmarks
 from uav_vslam.estimation.belief import landmark_rows
@@ -45,6 +47,7 @@ def find_common(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConf
     maps = own.positions, own.covariance, packet.positions, peer_covariance
     pairs = pairs[gated(pairs, *maps, config)]
     pairs = pairs[consistent(pairs, *maps, config)]
+    pairs = pairs[jointly_consistent(pairs, *maps, config)]
     S = ground_covariance(pairs, own.covariance, peer_covariance, config)
     return pairs[beyond_chance(S, proposed, map_area(own.positions), config)]
 
@@ -106,6 +109,17 @@ def consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config
     graph = np.zeros((len(pairs), len(pairs)), dtype=bool)
     graph[i, j] = graph[j, i] = agree
     return largest_clique(graph)
+
+
+def jointly_consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
+    """Return the rows of the matches whose landmarks coincide as all others predict; a single one is gated already.
+
+    Arguments as for `gated`.
+    """
+    a, b = pairs[:, 0], pairs[:, 1]
+    S = submatrix(P, landmark_rows(0, a)) + submatrix(R, landmark_rows(0, b))
+    B = inverse_spd(S + config.floor_sigma_m**2 * np.eye(len(S)), "differences of two maps")
+    return predicted_by_others(B, peer[b] - own[a], chdtri(POINT_DOF, 1.0 - config.gate_probability), least=1)
 
 
 def offset_covariances(covariance: Array, i: Pairs, j: Pairs) -> Array:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data association between a peer's map and ours, in a common frame: methods by name, `fusion.association`.
 
-consistent            the nearest descriptor, then a gate, then pairwise consistency: see `common_landmarks`
+consistent            the nearest descriptor, then a gate, then consistency of pairs and of all: see `common_landmarks`
 gated                 geometry first: the nearest descriptor inside the gate of the two landmarks' positions
 nn                    the nearest descriptor, without a gate: the conventional method of section 6.4 of [thesis]
 ransac, gtm, hgtm     nn with outlier rejection by one transform, by neighbourhood graphs, by shapes of triangles
