@@ -50,6 +50,18 @@ def test_package_xml_is_valid_and_says_how_it_is_built(folder: str, name: str, b
     assert [export.content for export in package.exports if export.tagname == "build_type"] == [build_type]
 
 
+def test_references_are_those_of_the_docstrings() -> None:
+    """Each key is in the table, with the modules that cite it."""
+    cited: dict[str, set[str]] = {}
+    for path in tracked("uav_vslam/*.py"):
+        for key in re.findall(r"\[([a-z]+\d\d|thesis)\]", path.read_text()):
+            cited.setdefault(key, set()).add(path.relative_to(ROOT / "uav_vslam").as_posix())
+    rows = re.findall(r"^\| (\w+) \| .* \| (.*) \|$", (ROOT / "REFERENCES.md").read_text(), re.MULTILINE)
+    listed = {key: set(re.findall(r"`([\w/]+\.py)`", where)) for key, where in rows if key != "key"}
+    listed["thesis"] = cited["thesis"]  # by most
+    assert listed == cited
+
+
 def test_versions_agree() -> None:
     versions = {
         "uav_vslam/__init__.py": uav_vslam.__version__,

@@ -5,7 +5,7 @@ Process and observation are written once, for map-frame errors (position, veloci
 how its coordinates map to those, and how a correction is applied to the mean.
 
 `ri15`    15 states. Errors are plain differences, transported with the estimate so that they remain a chart of the
-          right-invariant error: the four unobservable directions (global position and yaw) stay unobservable.
+          right-invariant error [barrau17]: the four unobservable directions (global position and yaw) stay so.
 `so15`    the same states, ordinary linearisation: the baseline for the gain of invariance.
 `euler9`  the thesis's nine states [X Y Z U V W phi theta psi] (Eq. 4.6.2), no biases, ordinary linearisation.
 """

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """SO(3) in numpy: rotation matrices, rotation vectors, Hamilton quaternions and yaw-pitch-roll angles.
 
-All functions are vectorised over leading axes unless stated otherwise. References: Sola, Deray, Atchuthan,
-"A micro Lie theory for state estimation in robotics" (2018), Eqs. (143)-(147).
+All functions are vectorised over leading axes unless stated otherwise. Eq. (143) to (147) of [sola18].
 """
 
 import numpy as np

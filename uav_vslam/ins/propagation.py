@@ -3,7 +3,7 @@
 
 The error is (position, velocity, rotation xi, gyro bias, accel bias) in the map frame, R_true = Exp(xi) R. In these
 coordinates the transition depends on the estimate only through the displacement by the specific force, so the
-model is group-affine except for the biases (Barrau and Bonnabel, "The invariant extended Kalman filter", 2017).
+model is group-affine except for the biases [barrau17].
 """
 
 import dataclasses
