@@ -106,10 +106,11 @@ def test_every_view_of_a_track_is_used_once(flown, monkeypatch) -> None:
     used = []
     finish = TrackWindow.finish
 
-    def counted(self, slam_filter, *rest, **how) -> None:
+    def counted(self, slam_filter, *rest, **how) -> int:
         before = self.views.seen.sum()
-        finish(self, slam_filter, *rest, **how)
+        shown = finish(self, slam_filter, *rest, **how)
         used.append(before - self.views.seen.sum())
+        return shown
 
     monkeypatch.setattr(TrackWindow, "finish", counted)
     backend = backend_of(flight, max_new_landmarks=0)

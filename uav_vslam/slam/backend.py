@@ -51,12 +51,14 @@ class _Outcome:
     Attributes:
         matches: landmarks that corrected the state.
         known: landmarks and tracks that the frame could have shown.
+        finished: tracks that it shows and that were used with it, to the end of their window.
         restart: where a recovery re-initialises the filter; None for the newest estimate.
     """
 
     known: int
     tracked: int
     renewed: int = 0
+    finished: int = 0
     matches: Matches = field(default_factory=Matches.none)
     innovation: Innovation | None = None
     as_calibrated: NavEstimate | None = None
@@ -79,7 +81,7 @@ class _Outcome:
     def give_up(self) -> None:
         """Forget what has corrected a state that is re-initialised."""
         self.matches, self.closures, self.as_calibrated = Matches.none(), 0, None
-        self.sightings = self.sightings[:0]
+        self.sightings, self.finished = self.sightings[:0], 0
 
 
 class SlamBackend:
@@ -217,7 +219,9 @@ class SlamBackend:
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
             new_landmarks = partial(self._local_map.new_landmarks, frame=self._frame)
-            self._window.finish(self._filter, self._map, self._frame, new_landmarks, everything=is_seen)
+            outcome.finished = self._window.finish(
+                self._filter, self._map, self._frame, new_landmarks, everything=is_seen
+            )
             if features.tracks.any() and outcome.tracked < LOST_SHARE * before:
                 self._frame += LONG_FRAMES  # all landmarks are as if long unseen
             outcome.matches, outcome.innovation, outcome.closures = self._local_map.correct(
@@ -299,7 +303,7 @@ class SlamBackend:
             closures=outcome.closures,
             tracked=outcome.tracked,
             renewed=outcome.renewed,
-            coasted=step.increment is not None and associated == 0,
+            coasted=step.increment is not None and associated + outcome.finished == 0,
             gate_probability=self._config.backend.gate_probability,
             smoothed=outcome.smoothed,
             flexing=self._flexing,

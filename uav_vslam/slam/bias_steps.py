@@ -125,7 +125,7 @@ class BiasStepMonitor:
         """Return whether the biases may have stepped, and count for how long that is so."""
         if not self._past or self._past[0].age_s < EVERY_S:
             return False
-        missed = report.coasted and max(report.tracked, min(report.features, report.landmarks)) >= MIN_FEATURES
+        missed = report.coasted and report.could_correct(report.landmarks) >= MIN_FEATURES
         shows = not report.coasted and correction(report.nav, self._past[0].unaided) > DIFFERENT
         if missed or self._suspected_s > 0.0:
             self._suspected_s += increment.dt_s

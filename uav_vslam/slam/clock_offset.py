@@ -77,7 +77,8 @@ class ClockOffsetMonitor:
         for past in self._past:
             past.frames.append((features, increment))
         before = backend
-        self._missed = self._missed + 1 if report.coasted and report.tracked >= MIN_FEATURES else 0
+        is_missed = report.coasted and report.could_correct(landmarks=0) >= MIN_FEATURES
+        self._missed = self._missed + 1 if is_missed else 0
         if self._missed == MISSED:
             backend, report = self._sought(backend, config) or (backend, report)
         while (found := report.time_offset) is not None and report.tracked and self._is_far(found):

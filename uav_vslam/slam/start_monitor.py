@@ -78,7 +78,7 @@ class StartMonitor:
         if report.innovation is not None and report.innovation.dof > 0:
             self._nis += report.innovation.nis
             self._dof += report.innovation.dof
-        elif max(report.tracked, min(report.features, self._landmarks)) - report.renewed >= MIN_FEATURES:
+        elif report.could_correct(self._landmarks) >= MIN_FEATURES:
             self._coasted += 1
         nav = report.as_calibrated or report.nav
         speed, expected = (np.linalg.norm(one.state.v_map) for one in (nav, dead_reckoned))

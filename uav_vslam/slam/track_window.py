@@ -86,8 +86,10 @@ class TrackWindow:
 
     def finish(
         self, slam_filter: Filter, landmark_map: LandmarkMap, frame: int, choose: Choice, *, everything: bool = False
-    ) -> None:
+    ) -> int:
         """Use the tracks that have ended or fill the window, in the filter's next update; some become landmarks.
+
+        Return how many of them the newest frame shows.
 
         Args:
             slam_filter: its past poses are the frames of the views.
@@ -98,7 +100,7 @@ class TrackWindow:
         """
         views = self.views
         if len(views) == 0:
-            return
+            return 0
         finished = ~views.seen[:, -1] | everything
         if self._is_full:
             finished |= views.seen[:, 0]
@@ -120,8 +122,10 @@ class TrackWindow:
         )
         going_on = views.tracks[views.seen[:, -1]].tolist()
         self._ids = {track: self._ids[track] for track in going_on if track in self._ids}
+        shown = int((views.seen[used, -1] & passed).sum())
         views.use(used)
         views.remove(finished)
+        return shown
 
     def present(self, slam_filter: Filter, landmark_map: LandmarkMap, choose: Choice | None = None) -> Present:
         """Return the estimate of the present.
