@@ -33,9 +33,9 @@ FRAMES = 24  # 3.2 s
 VELOCITY_SIGMA, TILT_SIGMA_DEG, YAW_SIGMA_DEG = 0.1, 0.2, 0.5  # of a simulated start
 
 
-def stage_of(flight, method: str = "given") -> SlamStage:
-    config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, start=StartConfig(method=method))
-    stage = SlamStage(config, vehicle="uav1")
+def stage_of(flight, method: str = "given", **backend: float) -> SlamStage:
+    imu, start = flight.vehicle.scenario.imu_config, StartConfig(method=method)
+    stage = SlamStage(VehicleConfig(imu=imu, start=start, backend=BackendConfig(**backend)), vehicle="uav1")
     stage.rig = flight.vehicle.rig
     return stage
 
@@ -72,15 +72,12 @@ def test_tracks_that_all_began_with_the_first_frame_are_no_evidence_against_it(f
     """As in hover: they fill the window in one frame, and the next one's views say nothing yet."""
     flight = flown(1, frames=40, frame_rate_hz=100.0, tracked_px=0.05)
     lasting = functools.reduce(np.intersect1d, [features.tracks for features, _ in flight.frames])
-    frames = [
+    frames = tuple(
         (with_wrong_track(features.chosen(np.flatnonzero(np.isin(features.tracks, lasting))), frame), step)
         for frame, (features, step) in enumerate(flight.frames)
-    ]
-    config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, backend=BackendConfig(window_spacing_s=0.0))
-    stage = SlamStage(config, vehicle="uav1")
-    stage.rig = flight.vehicle.rig
-    stage.start(flight.vehicle.initial)
-    outputs = feed(stage, frames)
+    )
+    hover = dataclasses.replace(flight, frames=frames)
+    outputs = outputs_of(stage_of(hover, window_spacing_s=0.0), hover, flight.vehicle.initial)
     assert len(lasting) >= MIN_FEATURES
     assert [k for k, output in enumerate(outputs) if output.report.coasted] == [11, 22, 33]  # MAX_COASTED of them
     assert not any(output.report.recovery or output.warnings for output in outputs)

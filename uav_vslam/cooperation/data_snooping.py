@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.geometry.coded_points import diagonal_blocks
 from uav_vslam.numerics import mahalanobis2, submatrix, symmetrise
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ def predicted_by_others(information: Array, residuals: Array, gate: float, *, le
     B, rows = information, np.arange(len(residuals))
     while len(rows) > least:
         k = np.arange(len(rows))
-        pull, own = (B @ residuals[rows].ravel()).reshape(-1, 3), B.reshape(len(k), 3, len(k), 3)[k, :, k]
+        pull, own = (B @ residuals[rows].ravel()).reshape(-1, 3), diagonal_blocks(B)
         distance2 = mahalanobis2(pull, own)
         worst = int(np.argmax(distance2))
         if distance2[worst] <= gate:

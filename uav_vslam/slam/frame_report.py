@@ -32,8 +32,8 @@ class FrameReport:
         doubting: what `nav` is without trusting a calibration that is not judged yet; None if it is.
         tracked: stereo points whose track was in the frame before.
         renewed: those of them that say nothing yet: all views of their tracks up to this frame have been used.
-        coasted: the state was propagated by the IMU alone; not so a frame at the start state itself, nor one whose
-            tracks, all used with it, are in no later window.
+        coasted: the state was propagated by the IMU alone; not so a frame at the start state itself, nor one that
+            corrected it by tracks which are all used up with it.
         gate_probability: of the gate on observations.
         sightings: (K, 2) identifier and feature row of each point that corrected the state, and of each new landmark.
         late_sightings: (K, 2) the same of the frame before, if its landmarks had to wait for the angular rate.

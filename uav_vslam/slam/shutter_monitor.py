@@ -149,7 +149,7 @@ def _readout(here: _Seen, there: _Seen, rig: StereoRig, config: RigConfig) -> tu
     deeper = T_there_here.R @ _by_focal_length(points[good], pixels[good], rig, config.focal_ratio_sigma)[..., None]
     # translation, rotation, focal length in standard deviations, readout
     A = np.concatenate([J, -J @ skew(points_there), J @ deeper, late[..., None]], axis=2)
-    return _least_squares(A, seen - rig.left.project(points_there), FOCAL_LENGTH)
+    return _least_squares(A, seen - rig.left.project(points_there))
 
 
 def _by_focal_length(points_left: Array, pixels: Array, rig: StereoRig, share: float) -> Array:
@@ -164,14 +164,14 @@ def _lateness(at: _Seen, points_left: Array, pixels: Array, rig: StereoRig) -> A
     return np.asarray(flow * below_middle(rig.left, pixels)[:, None])
 
 
-def _least_squares(A: Array, residual: Array, known: int) -> tuple[float, float] | None:
+def _least_squares(A: Array, residual: Array) -> tuple[float, float] | None:
     """Return the last unknown and its information, of (N, 2, 8) Jacobians and (N, 2) residuals with outliers.
 
-    Unknown number `known` is N(0, 1) before.
+    That of the focal length is N(0, 1) before.
     """
     keep = np.ones(len(A), bool)
     variance = LEAST_PX**2
-    prior = np.eye(A.shape[2])[[known]]
+    prior = np.eye(A.shape[2])[[FOCAL_LENGTH]]
     for _ in range(ROUNDS):
         rows = np.concatenate([A[keep].reshape(-1, A.shape[2]), variance**0.5 * prior])
         x = np.linalg.lstsq(rows, np.r_[residual[keep].ravel(), 0.0], rcond=None)[0]

@@ -89,7 +89,7 @@ class TrackWindow:
     ) -> int:
         """Use the tracks that have ended or fill the window, in the filter's next update; some become landmarks.
 
-        Return how many of them the newest frame shows.
+        Return how many of those that passed the gate the newest frame shows.
 
         Args:
             slam_filter: its past poses are the frames of the views.

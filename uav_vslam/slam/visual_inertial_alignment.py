@@ -40,7 +40,7 @@ Rows = NDArray[np.intp]
 
 VELOCITY, GRAVITY, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 12, 3))
 BIASES, NOISE = slice(6, 12), slice(12, None)
-DELAY = 12  # the first of NOISE: of the exposures
+DELAY = NOISE.start  # of the exposures
 INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # of (rotation, velocity, position), the numbers that affect a frame's pixels
 SIGMA_GRAVITY = 0.03  # [m/s^2] uncertainty of the configured norm of gravity
 ROBUST_STEPS, FINAL_STEPS = 12, 4
@@ -116,8 +116,7 @@ def align(
         sigma_px: standard deviation of each pixel coordinate [px].
         delay_sigma_s: standard deviation of the exposures' delay [s].
     """
-    motion = _Motion.through(views, delay_sigma_s)
-    x, H, weight, _ = _solve(rig, pixels, views, motion, None, imu, sigma_px)
+    x, H, weight, _ = _solve(rig, pixels, views, None, imu, sigma_px, delay_sigma_s)
     covariance = np.asarray(np.linalg.inv(H)[: NOISE.start, : NOISE.start])
     return Alignment(x[VELOCITY], x[GRAVITY], x[GYRO_BIAS], covariance, (weight[:, 1:] > 0).sum(axis=0))
 
@@ -136,8 +135,7 @@ def align_in_map(
 
     The views fix the shape of the ground, so that its fit to the map separates tilt from shift; one frame hardly does.
     """
-    motion = _Motion.through(views, delay_sigma_s)
-    x, H, weight, T_map_body = _solve(rig, pixels, views, motion, known, imu, sigma_px)
+    x, H, weight, T_map_body = _solve(rig, pixels, views, known, imu, sigma_px, delay_sigma_s)
     kept = np.r_[: NOISE.start, len(H) - POSE_DIM : len(H)]
     covariance = np.linalg.inv(H)[np.ix_(kept, kept)]
     landmarks = int((weight[:, -1] > 0).sum())
@@ -148,15 +146,16 @@ def _solve(
     rig: StereoRig,
     pixels: Array,
     views: list[View],
-    motion: "_Motion",
     known: MapPoints | None,
     imu: ImuConfig,
     sigma_px: float,
+    delay_sigma_s: float,
 ) -> tuple[Array, Array, Array, Pose]:
     """Return x, the information matrix, the weights (N, K) and the pose in the map.
 
     With points of a map, the map is the last of the K frames, and its pose follows x in the matrix.
     """
+    motion = _Motion.through(views, delay_sigma_s)
     z, seen = _table(pixels, views)
     points = rig.T_body_left.apply(rig.triangulate(pixels))
     noise_px = sigma_px * rig.magnification(z)[..., None]
