@@ -79,6 +79,8 @@ def test_until_the_tilt_is_known_evidence_does_not_count_but_what_was_estimated_
     effect = np.zeros(len(P))
     effect[0], effect[DISPARITY] = 5.0, 1.0  # metres a pixel
     f.belief = type(f.belief).from_covariance(P + 0.1 * RIG.disparity_sigma_px**2 * np.outer(effect, effect))
+    doubted = P[0, 0] + 5.0**2 * f.disparity_prior.claimed_variance
+    assert judge.trusting(f).nav_estimate().covariance[0, 0] == pytest.approx(doubted, rel=1e-6)
     if level:
         judge.after_update(f, nav, by_tracks=False)
         known = nav.covariance.copy()
@@ -88,7 +90,6 @@ def test_until_the_tilt_is_known_evidence_does_not_count_but_what_was_estimated_
     found = f.belief.covariance(NO_ROWS)
     assert found[DISPARITY, DISPARITY] == pytest.approx(RIG.disparity_sigma_px**2)
     assert found[0, DISPARITY] / found[DISPARITY, DISPARITY] == pytest.approx(0.0 if level else 5.0, abs=1e-6)
-    doubted = P[0, 0] + 5.0**2 * f.disparity_prior.claimed_variance
     assert f.nav_estimate().covariance[0, 0] == pytest.approx(doubted, rel=1e-6)
 
 

@@ -76,11 +76,18 @@ class DisparityJudge:
         return self._was_tilted and self._level_ns is not None and not self._is_over
 
     def trusting(self, slam_filter: Filter) -> Filter:
-        """Return a filter, or a copy that trusts the calibration as long as that is not judged."""
+        """Return a filter, or a copy that trusts the calibration as long as that is not judged.
+
+        Args:
+            slam_filter: as it is, or with what the tracks say.
+        """
         if self._is_over:
             return slam_filter
         trusting = copy.copy(slam_filter)
-        _trust(trusting)
+        if self._level_ns is None:
+            trusting.discard_disparity_evidence()  # that of the tracks, which the filter doesn't have yet
+        else:
+            _trust(trusting)
         return trusting
 
 
