@@ -196,6 +196,20 @@ def test_a_wrong_rig_is_estimated_and_its_uncertainty_counts(wrong: dict[str, An
     assert low < np.mean(scores) < high < np.mean(trusting)
 
 
+@pytest.mark.slow
+def test_an_error_of_the_disparity_too_small_to_be_found_is_claimed() -> None:
+    """NEES of the last pose over ten flights with precise points; the other calibration counts as right."""
+    claiming, trusting = [], []
+    for seed in range(301, 311):
+        vehicle = simulate_vehicle(Scenario(vehicles=1, frames=2 * FRAMES, seed=seed, disparity_bias_px=0.08), 0)
+        field, noise = scatter_landmarks([vehicle], per_frame=PER_FRAME), LandmarkNoise(sigma_px=0.1)
+        flight, truth = dead_reckoned(vehicle, list(observe(vehicle, field, noise=noise))), true_trajectory(vehicle)
+        for scores, rig in ((claiming, RigConfig()), (trusting, RigConfig(miscalibrated_probability=0.0))):
+            config = dataclasses.replace(config_of(vehicle), rig=rig)
+            scores.append(nees(trajectory(smooth(flight, vehicle.rig, config)), truth).position[-1])
+    assert np.mean(claiming) < 3.0 < 9.0 < np.mean(trusting)
+
+
 def test_a_rig_that_was_found_to_flex_is_smoothed_as_one_that_does() -> None:
     vehicle = simulate_vehicle(Scenario(vehicles=1, frames=FRAMES, seed=301, vibration_deg=0.05), 0)
     seen = list(observe(vehicle, scatter_landmarks([vehicle], per_frame=PER_FRAME), noise=LandmarkNoise()))

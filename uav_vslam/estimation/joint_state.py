@@ -233,8 +233,9 @@ class JointState:
         """What is known of the disparity's error; None if it is no state."""
         if not self._errors.has_disparity:
             return None
-        claimed = claimed_variance(disparity_variance(self.belief, self._errors), self._errors, self.rig_state)
-        return DisparityEstimate(self.rig_state.disparity_px, claimed**0.5, self.miscalibrated)
+        mean, variance = self.rig_state.disparity_px, disparity_variance(self.belief, self._errors)
+        claimed = claimed_variance(variance, self._errors, mean)
+        return DisparityEstimate(mean, claimed**0.5, self.miscalibrated)
 
     def correct(self, belief: Belief, delta: Array) -> None:
         """Move the mean by (vehicle + 3N,) `delta` and set the belief over the remaining error."""

@@ -49,20 +49,23 @@ def disparity_variance(belief: Belief, errors: RigErrors) -> float:
     return float(belief.covariance(NO_ROWS)[row, row])
 
 
-def claimed_variance(variance: float, errors: RigErrors, state: RigState) -> float:
+def claimed_variance(variance: float, errors: RigErrors, disparity_px: float) -> float:
     """Return how far an estimate of the disparity's error, with that variance, may be off in mean square [px^2]."""
-    return errors.disparity_prior.mean_square(state.disparity_px, variance, prior=errors.disparity_variance)
+    return errors.disparity_prior.mean_square(disparity_px, variance, prior=errors.disparity_variance)
 
 
 def claimed_covariance(belief: Belief, errors: RigErrors, state: RigState) -> Array:
     """Return the covariance (vehicle, vehicle) with the uncertainty of the calibration."""
     P = belief.covariance(NO_ROWS)
-    if not errors.has_disparity:
-        return P
-    row = errors.disparity.start
+    return with_claims(P, errors.disparity.start, errors, state.disparity_px) if errors.has_disparity else P
+
+
+def with_claims(P: Array, row: int, errors: RigErrors, disparity_px: float) -> Array:
+    """Return the (n, n) covariance `P` with the uncertainty of the calibration; `row` is the disparity's error's."""
     variance = float(P[row, row])
     effect = P[:, row] / variance
-    return P + (claimed_variance(variance, errors, state) - variance) * np.outer(effect, effect)
+    claimed = claimed_variance(variance, errors, disparity_px)
+    return P + (claimed - variance) * np.outer(effect, effect)
 
 
 def claimed_belief(belief: Belief, errors: RigErrors, state: RigState) -> Belief:
@@ -70,7 +73,7 @@ def claimed_belief(belief: Belief, errors: RigErrors, state: RigState) -> Belief
     if not errors.has_disparity:
         return belief
     variance = disparity_variance(belief, errors)
-    claimed = claimed_variance(variance, errors, state)
+    claimed = claimed_variance(variance, errors, state.disparity_px)
     return belief.information_changed(errors.disparity.start, 1.0 / claimed - 1.0 / variance)
 
 

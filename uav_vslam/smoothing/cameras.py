@@ -12,6 +12,7 @@ from uav_vslam.config import RigConfig
 from uav_vslam.estimation.linearisation import Camera, camera_points, pixel_jacobians
 from uav_vslam.estimation.models import MODELS, POSE
 from uav_vslam.estimation.observation import MIN_DEPTH_M
+from uav_vslam.estimation.rig_belief import with_claims
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.turning import Turning
 from uav_vslam.geometry.stereo import StereoRig
@@ -128,6 +129,13 @@ class RigEstimate:
         mean, variance = float(self.constant[row]), float(covariance[row, row])
         now = self.errors.disparity_prior.given(mean, variance, prior=prior)[1]
         return dataclasses.replace(self, errors=self.errors.with_disparity_variance(now))
+
+    def claimed(self, covariance: Array) -> Array:
+        """Return the (m, m) covariance of the constant errors and others with the uncertainty of the calibration."""
+        if not self.errors.has_disparity:
+            return covariance
+        row = self.errors.disparity.start - NAV_DIM
+        return with_claims(covariance, row, self.errors, float(self.constant[row]))
 
     def state(self, row: int) -> RigState:
         """Return the rig's state in one state of the flight."""

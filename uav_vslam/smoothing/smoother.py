@@ -64,7 +64,8 @@ class _Step:
 
     Attributes:
         decrement: Newton decrement.
-        layout, factor: of the normal equations.
+        layout: of the normal equations.
+        factor: the same, the border's covariance with the uncertainty of the calibration.
         sightings, batches: of the points, and these eliminated.
     """
 
@@ -134,10 +135,12 @@ class _Problem:
         for own, eliminated in batches:
             self.points[own] += eliminated.corrections(steps[:, layout.seen], rig_step, of_points[own])
         self.states = moved(self.states, steps[:, :NAV_DIM])
-        self.rig = self.rig.moved(rig_step, steps[:, NAV_DIM:]).judged(factor.border_covariance)
+        rig = self.rig.moved(rig_step, steps[:, NAV_DIM:])
+        self.rig = rig.judged(factor.border_covariance)
         self.landmarks = self.landmarks + landmark_steps
         decrement = float(np.sum(factor.solution * system.rhs) + factor.border_solution @ system.border_rhs)
-        return _Step(max(decrement, 0.0) ** 0.5, layout, factor, self.sightings, batches)
+        claiming = dataclasses.replace(factor, border_covariance=rig.claimed(factor.border_covariance))
+        return _Step(max(decrement, 0.0) ** 0.5, layout, claiming, self.sightings, batches)
 
     @property
     def layout(self) -> Layout:
