@@ -131,5 +131,9 @@ def test_a_second_imu_of_a_vehicle_is_no_vehicle() -> None:
     assert vehicles_of(topics, InputConfig()) == ["fleet/uav2", "uav1"]
     driver = recorded(images=["/zed/zed_node/left/image_rect"], imus=["/zed/zed_node/imu/data_raw"])
     assert vehicles_of(driver, InputConfig()) == ["uav1"]
+    beside = ["/stereo/left/image_raw", "/stereo/right/image_raw"]
+    assert vehicles_of(recorded(images=beside, imus=["/mavros/imu/data_raw"]), InputConfig()) == ["stereo"]
+    without_cameras = recorded(images=beside, imus=["/stereo/imu/data_raw", "/uav2/imu/data_raw"])
+    assert vehicles_of(without_cameras, InputConfig()) == ["stereo", "uav2"]
     inner = recorded(images=["/uav1/left/image_raw", "/uav1/payload/left/image_raw"])
     assert vehicles_of(inner, InputConfig()) == ["uav1", "uav1/payload"]

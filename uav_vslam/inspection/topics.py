@@ -52,17 +52,24 @@ def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[st
     """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does.
 
     A namespace without images inside another one is part of that vehicle, as in /uav1/mavros/imu/data_raw; one of
-    several levels is that of a driver, as in /zed/zed_node/imu/data_raw.
+    several levels is that of a driver, as in /zed/zed_node/imu/data_raw; one of an IMU alone, as in
+    /mavros/imu/data_raw, is that of a pair of cameras beside it that has none.
     """
     if config.topics.left.startswith("/"):
         return [DEFAULT_VEHICLE]
     names = [name for role in TYPES for name in image_names(getattr(config.topics, role))]
     endings = tuple(f"/{name}" for name in names if not name.startswith("/"))
     found = {topic[: -len(end)].strip("/") for topic in topics for end in endings if topic.endswith(end)}
-    sides = {name for side in SIDES for name in image_names(getattr(config.topics, side))}
-    seeing = {name for name in found if any(f"/{name}/{images}" in topics for images in sides)}
+
+    def held_by(name: str, *roles: str) -> set[str]:
+        held = {r: image_names(getattr(config.topics, r)) for r in roles}
+        return {r for r, relative in held.items() if any(f"/{name}/{one}" in topics for one in relative)}
+
+    seeing = {name for name in found if held_by(name, *SIDES)}
     parts = {name for name in found - seeing for other in found if name.startswith(f"{other}/")}
     drivers = {name for name in found - seeing if "/" in name}
+    if {"left", "right"} in [held_by(name, *SIDES, "imu") for name in seeing]:
+        drivers |= {name for name in found - seeing if held_by(name, *TYPES) == {"imu"}}
     return sorted(found - parts - drivers - {""}) or [DEFAULT_VEHICLE]
 
 
