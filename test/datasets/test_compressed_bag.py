@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 import yaml
 import zstandard
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import typestore
 from uav_vslam.datasets.compressed_bag import FOLDER
-from uav_vslam.datasets.rosbag import is_bag, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import is_bag, iter_raw, iter_readable, topics_of
 from uav_vslam.errors import BagError
 
 
@@ -54,6 +56,27 @@ def test_a_compressed_file_alone_is_a_bag_and_one_beside_its_plain_copy_is_not_r
     assert list(iter_raw([file])) == expected
     (bag / file.stem).write_bytes((tiny_bag / file.stem).read_bytes())
     assert list(iter_raw([bag])) == expected
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_messages_that_were_compressed_are_read_without_the_metadata_that_say_so(
+    storage: StoragePlugin, tiny_bag: Path, tmp_path: Path
+) -> None:
+    expected, connections = list(iter_raw([tiny_bag])), {}
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        for raw in expected:
+            if raw.topic not in connections:
+                connections[raw.topic] = writer.add_connection(raw.topic, raw.msgtype, typestore=typestore())
+            writer.write(connections[raw.topic], raw.stamp_ns, raw.data)
+    assert list(iter_raw([tmp_path / "bag"])) == expected
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert list(iter_raw([tmp_path / "bag"])) == expected
+    if storage is StoragePlugin.MCAP:  # as of a recorder that was killed
+        (file,) = (tmp_path / "bag").iterdir()
+        file.write_bytes(file.read_bytes()[:-20])
+        assert list(iter_readable([file], list(connections))) == expected
 
 
 def test_child_processes_read_the_copy_of_their_parent_which_removes_it(tiny_bag: Path, tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags whose storage files were compressed as a whole (`ros2 bag record --compression-mode file`): x.mcap.zstd.
 
-They are unpacked into a folder for temporary files, which child processes share and the first process removes.
+They are unpacked into a folder for temporary files, which child processes share and the first process removes. Where
+messages were compressed one by one, only metadata.yaml says so, which a recorder that was killed did not write.
 """
 
 import atexit
@@ -22,6 +23,7 @@ from uav_vslam.yaml_text import parse_yaml
 
 SUFFIX = ".zstd"
 METADATA = "metadata.yaml"
+MAGIC = b"\x28\xb5\x2f\xfd"  # of zstd's frames; CDR begins with zero
 INFORMATION = "rosbag2_bagfile_information"
 FOLDER = "UAV_VSLAM_UNPACKED"  # environment variable with the folder, for child processes
 _given: dict[Path, Path] = {}  # what each folder's files were unpacked from
@@ -56,6 +58,16 @@ def unpacked(path: Path) -> Path:
             scratch.rename(folder)
     _given[folder] = path
     return folder if path.is_dir() else folder / path.stem
+
+
+def unpacked_message(data: bytes) -> bytes:
+    """Return the bytes of a message that was compressed alone; others, and those of a damaged one, as they are."""
+    if not data.startswith(MAGIC):
+        return data
+    try:
+        return zstandard.decompress(data)
+    except zstandard.ZstdError:
+        return data
 
 
 def given_as(path: Path) -> Path:

@@ -18,7 +18,7 @@ from rosbags.interfaces import Connection, QosDurability
 from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.bag_reader import Reader
 from uav_vslam.datasets.cdr import RawMessage, encode, typestore
-from uav_vslam.datasets.compressed_bag import METADATA, SUFFIX, compressed_files, given_as, unpacked
+from uav_vslam.datasets.compressed_bag import METADATA, SUFFIX, compressed_files, given_as, unpacked, unpacked_message
 from uav_vslam.datasets.foreign_mcap import what_is_foreign
 from uav_vslam.datasets.unindexed_mcap import lacks_index, readable_messages
 from uav_vslam.errors import BagError, one_line
@@ -210,7 +210,8 @@ def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[Raw
     try:
         for raw in read(file, topics):
             last_ns = raw.stamp_ns
-            yield raw
+            data = unpacked_message(raw.data)
+            yield raw if data is raw.data else replace(raw, data=data)
     except BagError:
         raise
     except Exception as error:  # struct, sqlite, zstd, index errors, depending on the damage
