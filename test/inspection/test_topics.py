@@ -6,7 +6,7 @@ import yaml
 
 from uav_vslam.config import InputConfig
 from uav_vslam.datasets.rosbag import TopicInfo
-from uav_vslam.inspection.topics import configuration_block, guess_topics, topics_to_set, vehicles_of
+from uav_vslam.inspection.topics import configuration_block, guess_topics, topics_to_set
 
 IMAGE, IMU = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
 INFO, POSE = "sensor_msgs/msg/CameraInfo", "geometry_msgs/msg/PoseStamped"
@@ -116,24 +116,3 @@ def test_two_rigs_are_both_named_and_one_camera_is_no_pair() -> None:
         ("/front/cam0/image", "/front/cam1/image"),
     ]
     assert guess_topics(recorded(images=["/camera/image_raw"]), "uav1").stereo == []
-
-
-def test_vehicles_are_found_by_any_of_their_topics() -> None:
-    topics = recorded(images=["/uav2/right/image_raw/compressed"], imus=["/uav1/imu/data_raw", "/imu"])
-    assert vehicles_of(topics, InputConfig()) == ["uav1", "uav2"]
-    assert vehicles_of(recorded(imus=["/imu"]), InputConfig()) == ["uav1"]
-
-
-def test_a_second_imu_of_a_vehicle_is_no_vehicle() -> None:
-    """MAVROS has it in a namespace of its own."""
-    names = ["/uav1/mavros/imu/data_raw", "/uav1/imu/data_raw", "/fleet/uav2/imu/data_raw"]
-    topics = recorded(images=["/uav1/left/image_raw", "/fleet/uav2/left/image_raw"], imus=names)
-    assert vehicles_of(topics, InputConfig()) == ["fleet/uav2", "uav1"]
-    driver = recorded(images=["/zed/zed_node/left/image_rect"], imus=["/zed/zed_node/imu/data_raw"])
-    assert vehicles_of(driver, InputConfig()) == ["uav1"]
-    beside = ["/stereo/left/image_raw", "/stereo/right/image_raw"]
-    assert vehicles_of(recorded(images=beside, imus=["/mavros/imu/data_raw"]), InputConfig()) == ["stereo"]
-    without_cameras = recorded(images=beside, imus=["/stereo/imu/data_raw", "/uav2/imu/data_raw"])
-    assert vehicles_of(without_cameras, InputConfig()) == ["stereo", "uav2"]
-    inner = recorded(images=["/uav1/left/image_raw", "/uav1/payload/left/image_raw"])
-    assert vehicles_of(inner, InputConfig()) == ["uav1", "uav1/payload"]

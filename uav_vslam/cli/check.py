@@ -58,7 +58,7 @@ def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: I
     """Return the vehicles to check: those requested, or all in the bags."""
     from uav_vslam.datasets.rosbag import topics_of
     from uav_vslam.errors import ConfigError
-    from uav_vslam.inspection.topics import vehicles_of
+    from uav_vslam.inspection.vehicles import vehicles_of
 
     topics = topics_of(bags)
     found = vehicles_of(topics, config)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import COMPRESSED, image_names
-from uav_vslam.datasets.bag import DEFAULT_VEHICLE
 from uav_vslam.datasets.foreign_mcap import named
 from uav_vslam.datasets.frame_tree import TF, TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo
@@ -46,31 +45,6 @@ class Guess:
         if role in SIDES:
             return [pair[SIDES.index(role)] for pair in self.stereo[1:]]
         return self.others.get(role, [])[1:]
-
-
-def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[str]:
-    """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does.
-
-    A namespace without images inside another one is part of that vehicle, as in /uav1/mavros/imu/data_raw; one of
-    several levels is that of a driver, as in /zed/zed_node/imu/data_raw; one of an IMU alone, as in
-    /mavros/imu/data_raw, is that of a pair of cameras beside it that has none.
-    """
-    if config.topics.left.startswith("/"):
-        return [DEFAULT_VEHICLE]
-    names = [name for role in TYPES for name in image_names(getattr(config.topics, role))]
-    endings = tuple(f"/{name}" for name in names if not name.startswith("/"))
-    found = {topic[: -len(end)].strip("/") for topic in topics for end in endings if topic.endswith(end)}
-
-    def held_by(name: str, *roles: str) -> set[str]:
-        held = {r: image_names(getattr(config.topics, r)) for r in roles}
-        return {r for r, relative in held.items() if any(f"/{name}/{one}" in topics for one in relative)}
-
-    seeing = {name for name in found if held_by(name, *SIDES)}
-    parts = {name for name in found - seeing for other in found if name.startswith(f"{other}/")}
-    drivers = {name for name in found - seeing if "/" in name}
-    if {"left", "right"} in [held_by(name, *SIDES, "imu") for name in seeing]:
-        drivers |= {name for name in found - seeing if held_by(name, *TYPES) == {"imu"}}
-    return sorted(found - parts - drivers - {""}) or [DEFAULT_VEHICLE]
 
 
 def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
