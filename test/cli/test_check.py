@@ -5,6 +5,8 @@ import contextlib
 import dataclasses
 import io
 import json
+import re
+import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import field
 from pathlib import Path
@@ -18,7 +20,7 @@ from uav_vslam.cli.main import main
 from uav_vslam.datasets.cdr import RawMessage
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
-from uav_vslam.studies.recordings.foreign import renamed, rewritten
+from uav_vslam.studies.recordings.foreign import renamed, rewritten, without
 
 pytestmark = pytest.mark.slow
 
@@ -131,6 +133,26 @@ def test_the_block_of_a_vehicle_with_another_name_finds_its_start(flight: Path, 
     assert checked(bag, *as_advised)[0] == 0
     options = ["--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
     assert main(["run", str(bag), *as_advised, *options]) == 0
+
+
+def test_vehicles_with_other_topics_are_all_judged_and_one_block_serves_all(flight: Path, tmp_path: Path) -> None:
+    def as_a_driver(raw: RawMessage) -> RawMessage:
+        topic = re.sub("^/uav([12])/left/", r"/drone\1/camera/infra1/", raw.topic)
+        topic = re.sub("^/uav([12])/right/", r"/drone\1/camera/infra2/", topic)
+        topic = re.sub("^/uav([12])/imu/data_raw", r"/drone\1/camera/imu", topic)
+        return dataclasses.replace(raw, topic=topic)
+
+    own_names = [f"/uav{k}/{name}" for k in (1, 2) for name in ("initial_state", "ground_truth/odometry")]
+    bag = rewritten(flight, tmp_path / "bag", without("/tf_static", *own_names), as_a_driver)
+    code, printed, _ = checked(bag)
+    parts = printed.split("To put into a configuration (--config FILE):\n\n")[1:]
+    one, other = (textwrap.dedent(part.partition("\n\n")[0].strip("\n")) for part in parts)
+    assert (code, one) == (1, other)
+    config = tmp_path / "mine.yaml"
+    config.write_text(one)
+    again = checked(bag, "--config", str(config))[1]
+    assert "topic names" not in again
+    assert [name for name in ("drone1: ", "drone2: ") if name in again] == ["drone1: ", "drone2: "]
 
 
 def test_the_progress_ends_at_its_total(sound: tuple[int, str, Progress], flight: Path, tmp_path: Path) -> None:

@@ -98,6 +98,8 @@ def test_vehicles_are_no_pair() -> None:
     names = [f"/{vehicle}/{side}/image" for vehicle in ("uav1", "uav2") for side in ("left", "right")]
     pairs = [(f"/{vehicle}/left/image", f"/{vehicle}/right/image") for vehicle in ("uav1", "uav2")]
     assert guess_topics(recorded(images=names), "ghost").stereo == pairs
+    names = [f"/uav{k}/cam{i}/image" for k in (1, 2) for i in (0, 1)]
+    assert guess_topics(recorded(images=names), "ghost").stereo == [(names[0], names[1]), (names[2], names[3])]
 
 
 def test_an_imu_beside_the_cameras_namespace_is_found_and_that_of_another_vehicle_is_not() -> None:

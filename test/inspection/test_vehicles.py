@@ -40,3 +40,11 @@ def test_a_second_imu_of_a_vehicle_is_no_vehicle() -> None:
     assert vehicles_of(fleet, InputConfig()) == ["fleet/uav1", "fleet/uav2"]
     inner = recorded(images=["/uav1/left/image_raw", "/uav1/payload/left/image_raw"])
     assert vehicles_of(inner, InputConfig()) == ["uav1", "uav1/payload"]
+
+
+def test_vehicles_of_other_names_are_those_whose_cameras_are_named_alike() -> None:
+    images = [f"/drone{k}/camera/infra{i}/image_rect_raw" for k in (1, 2) for i in (1, 2)]
+    imus = ["/drone1/camera/imu", "/drone2/mavros/imu/data"]
+    assert vehicles_of(recorded(images=images, imus=imus), InputConfig()) == ["drone1", "drone2"]
+    rigs = recorded(images=[f"/{rig}/cam{k}/image_raw" for rig in ("down", "front") for k in (0, 1)], imus=["/imu"])
+    assert vehicles_of(rigs, InputConfig()) == ["uav1"]

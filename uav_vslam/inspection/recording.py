@@ -40,7 +40,7 @@ class Inspection:
         noise: of the IMU, by sensor; empty if there are too few readings.
         start_method: start.method to set where no start state was recorded; empty to leave it.
         block: configuration to paste; empty if nothing is to be set.
-        block_of: vehicle that has to be named beside the block, which has absolute topics; empty for the usual one.
+        block_of: vehicle that has to be named beside the block, whose left topic is absolute; empty for the usual one.
     """
 
     vehicle: str
@@ -115,9 +115,10 @@ def inspect_bags(
         found.findings += _refused(paths, vehicle, used)
     noise = recommended(found.noise)
     found.block = topics.configuration_block(
-        to_set, guess, noise, base=base, rectified=rectified, start_method=found.start_method
+        to_set, guess, noise, vehicle=vehicle, base=base, rectified=rectified, start_method=found.start_method
     )
-    found.block_of = vehicle if "left" in foreign and vehicle != DEFAULT_VEHICLE else ""
+    elsewhere = "left" in foreign and not to_set["left"].startswith(f"/{vehicle}/")
+    found.block_of = vehicle if elsewhere and vehicle != DEFAULT_VEHICLE else ""
     return survey, found
 
 

@@ -56,7 +56,9 @@ def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
     topics = own if _of_type(own, "left") else recorded
     images = sorted({topic.removesuffix(COMPRESSED) for topic in _of_type(topics, "left")})
     images = [topic for topic in images if not any(word in topic for word in NO_CAMERA)]
-    stereo = sorted(_stereo_pairs(images), key=lambda pair: ("raw" not in pair[0], len(pair[0]), pair))
+    stereo = sorted(
+        _of_one_vehicle([*_stereo_pairs(images)]), key=lambda pair: ("raw" not in pair[0], len(pair[0]), pair)
+    )
     left, right = stereo[0] if stereo else ("", "")
     infos = _of_type(topics, "left_info")
     seeing = {_namespace(topic) for topic in _of_type(recorded, "left")}
@@ -91,6 +93,7 @@ def configuration_block(
     guess: Guess,
     noise: Mapping[str, float],
     *,
+    vehicle: str = "",
     base: str = "",
     rectified: bool = False,
     start_method: str = "",
@@ -101,6 +104,7 @@ def configuration_block(
         to_set: topics by role.
         guess: other candidates, named in comments.
         noise: settings of the IMU by name ("imu.gyro_noise").
+        vehicle: namespace below which topics are named, so that other vehicles are found by the same names.
         base: value of input.frames.base; empty to leave it.
         rectified: whether to set input.rectified.
         start_method: value of start.method; empty to leave it.
@@ -115,8 +119,9 @@ def configuration_block(
     if to_set:
         lines.append("      topics:")
     for role, topic in to_set.items():
-        others = ", ".join(guess.alternatives(role))
-        lines.append(f"        {role}: {topic}{f'  # or {others}' if others else ''}")
+        first, *more = (name.removeprefix(f"/{vehicle}/") for name in (topic, *guess.alternatives(role)))
+        others = ", ".join(more)
+        lines.append(f"        {role}: {first}{f'  # or {others}' if others else ''}")
     if noise:
         lines += ["    imu:", *(f"      {name.removeprefix('imu.')}: {value:g}" for name, value in noise.items())]
     if start_method:
@@ -248,6 +253,13 @@ def _stereo_pairs(images: list[str]) -> Iterator[tuple[str, str]]:
             unequal = [(a, b) for a, b in zip(*numbers, strict=True) if a != b]
             if len(set(unequal)) == 1 and _successive(*unequal[0]):
                 yield left, right
+
+
+def _of_one_vehicle(pairs: list[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the pairs in one namespace, and of two the cameras that have no partner in their own."""
+    inside = [pair for pair in pairs if _namespace(pair[0]) == _namespace(pair[1])]
+    paired = {topic for pair in inside for topic in pair}
+    yield from (pair for pair in pairs if pair in inside or paired.isdisjoint(pair))
 
 
 def _successive(one: str, other: str) -> bool:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Vehicles: which namespaces of a recording are those of one, and not of a driver of its sensors."""
 
+from collections import Counter
 from collections.abc import Mapping
 
 from uav_vslam.config import InputConfig
@@ -9,10 +10,13 @@ from uav_vslam.datasets.bag import DEFAULT_VEHICLE
 from uav_vslam.datasets.rosbag import TopicInfo
 from uav_vslam.datasets.survey import TYPES
 from uav_vslam.geometry.stereo import SIDES
+from uav_vslam.inspection.topics import guess_topics
 
 
 def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[str]:
-    """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does.
+    """Return the namespaces that hold any of the configured topics, sorted.
+
+    If none does, it is those that hold an IMU and the same other names of stereo pairs; else `DEFAULT_VEHICLE`.
 
     A namespace without images inside another one is part of that vehicle, as in /uav1/mavros/imu/data_raw; one of
     several levels is that of a driver, as in /zed/zed_node/imu/data_raw; one of an IMU alone, as in
@@ -30,7 +34,7 @@ def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[st
     drivers = {name for name in found - seeing if "/" in name}
     if any({*SIDES, "imu"} & roles.get(name, set()) == set(SIDES) for name in seeing):
         drivers |= {name for name in found - seeing if roles[name] == {"imu"}}
-    return sorted(found - parts - drivers) or [DEFAULT_VEHICLE]
+    return sorted(found - parts - drivers) or _alike(topics) or [DEFAULT_VEHICLE]
 
 
 def _roles_by_namespace(topics: Mapping[str, TopicInfo], config: InputConfig) -> dict[str, set[str]]:
@@ -42,6 +46,14 @@ def _roles_by_namespace(topics: Mapping[str, TopicInfo], config: InputConfig) ->
                 if topic.endswith(f"/{name}"):
                     found.setdefault(topic.removesuffix(name).strip("/"), set()).add(role)
     return found
+
+
+def _alike(topics: Mapping[str, TopicInfo]) -> list[str]:
+    """Return the namespaces with an IMU in which stereo pairs have the same names as in another one, sorted."""
+    split = [left.strip("/").partition("/") for left, _ in guess_topics(topics, "").stereo]
+    named = {(namespace, rest) for namespace, _, rest in split if _has_imu(namespace, topics)}
+    often = Counter(rest for _, rest in named)
+    return sorted({namespace for namespace, rest in named if often[rest] > 1})
 
 
 def _owner(cameras: str, seeing: set[str], topics: Mapping[str, TopicInfo]) -> str:
