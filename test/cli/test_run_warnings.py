@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from faulty import IMU, TRUTH, in_unit, later, never_turned
+from faulty import IMU, TRUTH, in_unit, later, never_turned, of_other_axes
 from short_bag import before
 
 from uav_vslam.cli.main import main
@@ -128,6 +128,18 @@ def test_ground_truth_in_another_unit_is_warned_about(
     lines = [line for line in capsys.readouterr().err.splitlines() if "extends over" in line]
     assert len(lines) == bool(said)
     assert all(said in line for line in lines)
+
+
+@pytest.mark.parametrize("change", [of_other_axes, lambda message: message])
+def test_ground_truth_of_other_axes_is_warned_about(
+    change: Callable[[Any], Any], flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a motion capture gives it: NEES was half a million, without a word."""
+    bag = rewritten(flight, tmp_path / "bag", edited("/uav1/ground_truth/odometry", change))
+    arguments = ["--vehicles", "uav1", "--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
+    assert main(["run", str(bag), *arguments]) == 0
+    said = "the ground truth is turned by 132 deg against the body, alike in all poses"
+    assert (said in capsys.readouterr().err) == (change is of_other_axes)
 
 
 @pytest.mark.slow

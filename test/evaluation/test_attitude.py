@@ -4,11 +4,16 @@
 import numpy as np
 import pytest
 
-from uav_vslam.evaluation.attitude import LEAST_TURN_RAD, lacks_attitude
+from uav_vslam.evaluation.attitude import LEAST_TURN_RAD, lacks_attitude, turn_between
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.scores import RELATIVE_KEYS, track_scores
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_rpy
+from uav_vslam.geometry.rotation import (
+    quaternion_wxyz_from_rotation,
+    rotation_from_quaternion_wxyz,
+    rotation_from_rpy,
+    so3_exp,
+)
 
 COUNT = 301
 
@@ -42,3 +47,12 @@ def test_without_an_attitude_positions_alone_are_scored() -> None:
         assert scores[key] is None
     assert values is not None
     assert np.isnan(values.rotation).all()
+
+
+def test_the_turn_of_the_truths_axes_is_found_whatever_the_heading_of_its_frame() -> None:
+    flight, turn, R_world_map = flown(1.0), np.array([0.3, -1.1, 2.0]), rotation_from_rpy(0.0, 0.0, 2.0)
+    R_truth = R_world_map @ rotation_from_quaternion_wxyz(flight.quaternions_wxyz) @ so3_exp(turn)
+    positions = flight.positions @ R_world_map.T + [100.0, 0.0, 3.0]
+    truth = Trajectory(flight.stamps_ns, positions, quaternion_wxyz_from_rotation(R_truth))
+    assert turn_between(flight, truth) == pytest.approx((np.linalg.norm(turn), 0.0), abs=1e-6)
+    assert turn_between(flight, flown(0.0))[1] > 0.2  # of an estimate that has turned by mistake

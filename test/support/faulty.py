@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from uav_vslam.datasets.cdr import RawMessage
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.studies.recordings.foreign import Change, edited, shifted, turned, without
 
 LEFT, RIGHT = "/uav1/left/image_raw", "/uav1/right/image_raw"
@@ -163,6 +165,16 @@ def never_turned(message: Any) -> Any:
     """Give the orientation that a source of positions alone fills in."""
     q = message.pose.pose.orientation
     q.w, q.x, q.y, q.z = 1.0, 0.0, 0.0, 0.0
+    return message
+
+
+def of_other_axes(message: Any) -> Any:
+    """Give the orientation of a motion capture's own axes, which are any."""
+    pose = message.pose.pose
+    q = pose.orientation
+    T_world_body = Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], np.zeros(3))
+    T_body_other = Pose(so3_exp([0.3, -1.1, 2.0]), np.zeros(3))
+    q.w, q.x, q.y, q.z = (T_world_body @ T_body_other).quaternion_wxyz.tolist()
     return message
 
 
@@ -352,6 +364,16 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
                 "warning",
                 "truth attitude",
                 ("the same in all", "the gyroscope turns", "only positions are compared"),
+            )
+        ],
+    ),
+    "truth of other axes": (
+        lambda: [edited(TRUTH, of_other_axes)],
+        [
+            (
+                "warning",
+                "truth axes",
+                ("gravity direction", "the cameras agree with the gyroscope", "of the body's frame"),
             )
         ],
     ),

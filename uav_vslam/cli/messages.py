@@ -33,11 +33,11 @@ def warn_each(texts: Iterable[str]) -> None:
 
 
 def warn_of_truth(result: FlightResult, truths: Mapping[str, Trajectory | None]) -> None:
-    """Warn where the recorded truth seems to have another time or unit than the estimate, or no attitude."""
-    from uav_vslam.datasets.truth import no_attitude, other_time, other_unit
+    """Warn where the recorded truth seems to have another time, unit or axes than the estimate, or no attitude."""
+    from uav_vslam.datasets.truth import no_attitude, other_axes, other_time, other_unit
 
     for vehicle, truth in truths.items():
         if truth is not None:
             estimate = result.vehicles[vehicle].s_slam
-            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit, no_attitude))
+            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit, no_attitude, other_axes))
             warn_each(f"{vehicle}: {text}" for text in doubts if text)

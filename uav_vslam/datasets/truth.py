@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.datasets.messages import TRUTH_TYPES
 from uav_vslam.datasets.truth_track import TruthTrack
-from uav_vslam.evaluation.attitude import lacks_attitude, largest_turn_rad
+from uav_vslam.evaluation.attitude import LEAST_TURN_RAD, lacks_attitude, largest_turn_rad, never_turns, turn_between
 from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
@@ -19,6 +19,7 @@ MAX_SPACING_S = MAX_GAP_S  # of poses against which estimates are scored
 UNITS_M = {"millimetres": 1e-3, "centimetres": 1e-2, "feet": 0.3048, "kilometres": 1e3}  # that positions come in
 UNIT_SPREAD = 0.2  # relative, around such a factor: errors of an estimate
 MOST_SCALE = 10.0  # between true and estimated distances: more is no error of an estimate
+ALIKE = 0.2  # turns of poses about their mean, over the mean: more is an error of the estimate
 LEAST_SPREAD_M = 1.0  # of positions about their mean, from which scales are compared
 
 
@@ -93,6 +94,21 @@ def no_attitude(truth: Trajectory, flight: Trajectory) -> str:
         "the orientation of the ground truth never changes, while the estimate turns by up to "
         f"{math.degrees(largest_turn_rad(flight)):.0f} deg: errors of attitude, and those expressed in the body, are "
         "left out; where the start defines the map, the truth's heading is fitted to the estimate"
+    )
+
+
+def other_axes(truth: Trajectory, flight: Trajectory) -> str:
+    """Return that ground truth has the attitude of other axes than the body's, if it is turned alike in all poses."""
+    estimate, reference = pair_with_truth(flight, truth)
+    if min(_spread(estimate.positions), _spread(reference.positions)) < LEAST_SPREAD_M or never_turns(reference):
+        return ""
+    angle, unlike = turn_between(estimate, reference)
+    if angle <= LEAST_TURN_RAD or unlike > ALIKE * angle:
+        return ""
+    return (
+        f"the ground truth is turned by {math.degrees(angle):.0f} deg against the body, alike in all poses within "
+        f"{math.degrees(unlike):.1f} deg rms: it is of other axes. Errors of attitude, NEES and, if the start defines "
+        "the map, unaligned positions mean nothing: give it for the body's frame"
     )
 
 

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether ground truth has an attitude: sources of positions alone, such as GNSS, fill in the identity."""
+"""Whether ground truth has the body's attitude.
+
+Sources of positions alone, such as GNSS, fill in the identity; a motion capture has axes of its own.
+"""
 
 import math
 
 import numpy as np
 
+from uav_vslam.evaluation.alignment import align_yaw
 from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.geometry.rotation import rotation_from_quaternion_wxyz, so3_log
 
 SAME = 1e-9  # largest difference of quaternions that are one: a sensor's differ by more
 LEAST_TURN_RAD = math.radians(10.0)  # of an estimate: more than its errors
@@ -27,3 +32,20 @@ def largest_turn_rad(trajectory: Trajectory) -> float:
         return 0.0
     cosines = np.abs(trajectory.quaternions_wxyz @ trajectory.quaternions_wxyz[0])
     return float(2.0 * np.arccos(np.clip(cosines.min(), 0.0, 1.0)))
+
+
+def turn_between(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
+    """Return by how much the axes of truth are turned against those of an estimate, of equal stamps.
+
+    Headings are compared after the alignment of positions, which have to be spread over some metres.
+
+    Returns:
+        The angle of the mean turn, and the root mean square of the poses' turns about it [rad].
+    """
+    R_truth_estimate = align_yaw(estimate.positions, truth.positions).R
+    R_estimate, R_truth = (rotation_from_quaternion_wxyz(one.quaternions_wxyz) for one in (estimate, truth))
+    turns = np.swapaxes(R_truth_estimate @ R_estimate, -1, -2) @ R_truth
+    U, _, Vt = np.linalg.svd(turns.sum(axis=0))
+    mean = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
+    scatter = so3_log(turns @ mean.T)
+    return float(np.linalg.norm(so3_log(mean))), float(np.sqrt(np.mean(np.sum(scatter**2, axis=-1))))

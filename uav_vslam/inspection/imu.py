@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The checks of the IMU, with the other sources about its axes: start state, truth, cameras."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +14,18 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.inspection import imu_readings, limits
-from uav_vslam.inspection.finding import Finding, Severity, count
+from uav_vslam.inspection.finding import Finding, Severity, count, warning
 from uav_vslam.inspection.imu_noise import NoiseLevels, at_rest, check_noise, noise_level, noise_levels
+from uav_vslam.inspection.imu_readings import GRAVITY_DIRECTION
 from uav_vslam.inspection.motion import rotations_by_cameras, rotations_by_truth, up_of_truth
-from uav_vslam.inspection.rotation import check_rate_size, check_rotation
+from uav_vslam.inspection.rotation import (
+    CORRECT_STAMPS,
+    SUBJECT,
+    TRUTH,
+    cameras_agree,
+    check_rate_size,
+    check_rotation,
+)
 from uav_vslam.inspection.timing import recorded_late_ms
 from uav_vslam.inspection.views import Views
 from uav_vslam.search import nearest
@@ -101,7 +109,7 @@ def _check_gravity(survey: Survey, stamps: NDArray[np.int64], accel: Array, conf
         if covered.any() and len(truth) > 2:
             up = up_of_truth(truth, stamps[covered], config.imu.gravity)
             found += imu_readings.check_gravity_direction(
-                accel[covered].mean(axis=0), up, known_from="the truth", tilt_deg=limits.MEAN_TILT_DEG
+                accel[covered].mean(axis=0), up, known_from=TRUTH, tilt_deg=limits.MEAN_TILT_DEG
             )
     return found or imu_readings.check_gravity_direction(
         accel.mean(axis=0), None, known_from="the z axis", tilt_deg=limits.TILT_DEG
@@ -123,6 +131,22 @@ def _check_rates(
         pairs = rotations_by_cameras(looked.steps, rig, stamps, gyro)
         found += check_rotation(replace(pairs, offset_ns=offset_ns, recorded_late_ms=late_ms))
     return found
+
+
+def check_axes_of_truth(findings: Sequence[Finding]) -> list[Finding]:
+    """Return that the truth is of other axes than the body, if it contradicts an IMU with which the cameras agree.
+
+    Args:
+        findings: of `check_imu`.
+    """
+    by_truth = (f"{SUBJECT} {TRUTH}", GRAVITY_DIRECTION)
+    faults = [one for one in findings if one.severity is not Severity.OK and one.subject in by_truth]
+    faults = [one for one in faults if TRUTH in one.subject + one.seen and not one.remedy.startswith(CORRECT_STAMPS)]
+    if not faults or not cameras_agree(findings):
+        return []
+    seen = "; ".join(f"{one.subject}: {one.seen}" for one in faults)
+    remedy = "give the truth of the body's frame: its positions can be compared, errors of attitude and heading can't"
+    return [warning("truth axes", f"{seen}; the cameras agree with the gyroscope", "those of the body", remedy)]
 
 
 def _increasing(readings: ImuSeries) -> Iterator[ImuSample]:

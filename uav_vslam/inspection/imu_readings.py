@@ -11,6 +11,7 @@ from uav_vslam.inspection.finding import Finding, error, ok, warning
 
 Array = NDArray[np.float64]
 
+GRAVITY_DIRECTION = "IMU gravity direction"
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 AVERAGED_S = 0.5  # over which vibration averages out, and manoeuvres do not
 SENSORS = (("gyroscope", "rad/s"), ("accelerometer", "m/s^2"))
@@ -95,14 +96,14 @@ def check_gravity_direction(force: Array, up: Array | None, *, known_from: str, 
     nearest = AXES[_nearest_axis(force)]
     seen = f"mean specific force ({', '.join(f'{one:.2f}' for one in force)}), up is along {nearest} of the body"
     if angle_deg <= tilt_deg:
-        return [ok("IMU gravity direction", f"{seen}, {angle_deg:.1f} deg from {known_from}")]
+        return [ok(GRAVITY_DIRECTION, f"{seen}, {angle_deg:.1f} deg from {known_from}")]
     seen += f", {angle_deg:.0f} deg from {known_from}"
     allowed = f"at most {tilt_deg:g} deg"
     if up is None:
         remedy = "if the body is FLU, give the IMU's mounting in /tf_static or input.calibration; else ignore this"
-        return [warning("IMU gravity direction", f"{seen}{_axes_text(angle_deg)}", allowed, remedy)]
+        return [warning(GRAVITY_DIRECTION, f"{seen}{_axes_text(angle_deg)}", allowed, remedy)]
     remedy = "give the IMU's mounting in /tf_static with its header.frame_id, or in input.calibration"
-    return [error("IMU gravity direction", f"{seen}{_axes_text(angle_deg)}", allowed, remedy)]
+    return [error(GRAVITY_DIRECTION, f"{seen}{_axes_text(angle_deg)}", allowed, remedy)]
 
 
 def check_stuck(readings: Array, sensor: str) -> list[Finding]:

@@ -12,7 +12,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.imu_series import ImuSeries
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, ok, warning
-from uav_vslam.inspection.rotation import CAMERAS, RatePairs, mean_rates, rates_of_rotations
+from uav_vslam.inspection.rotation import CAMERAS, TRUTH, RatePairs, mean_rates, rates_of_rotations
 from uav_vslam.inspection.views import Step
 from uav_vslam.types import NS_PER_S
 
@@ -58,9 +58,7 @@ def rotations_by_truth(truth: TruthTrack, stamps_ns: Stamps, gyro: Array) -> Rat
     starts, ends, rows_start, rows_end = (one[near] for one in (starts, ends, rows[:-1], rows[1:]))
     seconds = (ends - starts) / NS_PER_S
     rates = rates_of_rotations(truth.R_world_body[rows_start], truth.R_world_body[rows_end], seconds)
-    return RatePairs(
-        rates, _sigma(seconds), "the truth", lambda late_ns: mean_rates(stamps_ns - late_ns, gyro, starts, ends)
-    )
+    return RatePairs(rates, _sigma(seconds), TRUTH, lambda late_ns: mean_rates(stamps_ns - late_ns, gyro, starts, ends))
 
 
 def rotations_by_cameras(steps: list[Step], rig: StereoRig, stamps_ns: Stamps, gyro: Array) -> RatePairs:

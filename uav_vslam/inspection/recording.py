@@ -19,7 +19,7 @@ from uav_vslam.errors import CalibrationError, UavVslamError
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.inspection import cameras, start, stereo_stamps, timing, topics, views
 from uav_vslam.inspection.finding import Finding, Severity, count, error, ok, warning
-from uav_vslam.inspection.imu import check_imu, readings_in_body
+from uav_vslam.inspection.imu import check_axes_of_truth, check_imu, readings_in_body
 from uav_vslam.inspection.imu_noise import NoiseLevels, recommended
 from uav_vslam.inspection.motion import check_attitude, check_scale, is_absurd, scale_of_truth
 from uav_vslam.inspection.rotation import cameras_agree
@@ -69,6 +69,9 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     no_attitude = check_attitude(survey.truth, readings)
     truth = None if no_attitude or is_absurd(survey.truth, scale) else survey.truth  # by which others are judged
     imu_findings, found.noise = check_imu(replace(survey, truth=truth), readings, rig, looked, config)
+    if turned := check_axes_of_truth(imu_findings):
+        found.findings, truth = found.findings + turned, None
+        imu_findings, found.noise = check_imu(replace(survey, truth=None), readings, rig, looked, config)
     found.findings += imu_findings + _check_clocks(survey, gyro_agrees=cameras_agree(imu_findings))
     images_ns = _stamps(survey, "left") + survey.setup.time_offset_ns
     found.findings += start.check_start(survey.initial, images_ns, readings, config, truth)

@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 SCALES = {1.0: "", 180.0 / math.pi: "in degrees, not in radians", math.pi / 180.0: "in radians taken for degrees"}
-CAMERAS = "the cameras"
+CAMERAS, TRUTH = "the cameras", "the truth"
+CORRECT_STAMPS = "correct the stamps"
 SUBJECT, NOT_JUDGED = "gyroscope against", "not judged"
 MIN_INTERVALS = 4
 LATE_MS = range(-300, 301, 5)  # offsets of the clocks that are tried
@@ -156,7 +157,7 @@ def _late_text(late_ms: int, left: float) -> str:
 
 def _late_remedy(pairs: RatePairs, late_ms: int) -> str:
     """Return what to do; the images' offset is the one that is set already and the remainder measured here."""
-    remedy = f"correct the stamps of the IMU or of {pairs.source}"
+    remedy = f"{CORRECT_STAMPS} of the IMU or of {pairs.source}"
     if pairs.source != CAMERAS:
         return remedy
     timeshift_s = round(pairs.offset_ns / NS_PER_S + late_ms / 1000, 4)
