@@ -195,6 +195,7 @@ def test_a_body_of_another_name_is_found_from_the_sensors_frames(clean: Path, tm
     found = inspected(bag)
     (only,) = faults(found.findings)
     assert only.subject == "body frame"
+    assert found.block_of == "uav1"  # other vehicles have another body
     assert any(finding.subject == "scale" for finding in found.findings)
     config = tmp_path / "mine.yaml"
     config.write_text(found.block)

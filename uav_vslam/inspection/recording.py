@@ -40,7 +40,8 @@ class Inspection:
         noise: of the IMU, by sensor; empty if there are too few readings.
         start_method: start.method to set where no start state was recorded; empty to leave it.
         block: configuration to paste; empty if nothing is to be set.
-        block_of: vehicle that has to be named beside the block, whose left topic is absolute; empty for the usual one.
+        block_of: vehicle that has to be named beside the block, whose left topic is absolute, or whose body is not that
+            of others; empty for the usual one.
     """
 
     vehicle: str
@@ -121,7 +122,7 @@ def inspect_bags(
         to_set, guess, noise, vehicle=vehicle, base=base, rectified=rectified, start_method=found.start_method
     )
     elsewhere = "left" in foreign and not to_set["left"].startswith(f"/{vehicle}/")
-    found.block_of = vehicle if elsewhere and vehicle != DEFAULT_VEHICLE else ""
+    found.block_of = vehicle if (vehicle != DEFAULT_VEHICLE if elsewhere else base) else ""
     return survey, found
 
 
