@@ -11,12 +11,13 @@ import pytest
 from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, later, missing
 from ros1_frames import repeated_on_tf
 
+from uav_vslam.calibration.files import write_calibration
 from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.cdr import RawMessage
 from uav_vslam.datasets.message_builders import transforms_message
-from uav_vslam.errors import CalibrationError
+from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.inspection.finding import Finding, Severity
 from uav_vslam.inspection.recording import Inspection, inspect_bags
@@ -204,6 +205,23 @@ def test_a_body_of_another_name_is_found_from_the_sensors_frames(clean: Path, tm
     apart = inspected(rewritten(bag, tmp_path / "apart", there))  # a body that only lacks the edge to these sensors
     assert {"camera frames", "IMU frame"} <= {finding.subject for finding in faults(apart.findings)}
     assert "base" not in apart.block
+
+
+def test_cameras_whose_lens_alone_is_in_files_have_the_frames_of_their_images(clean: Path, tmp_path: Path) -> None:
+    """Such files were said to be missing, although they were given."""
+    write_calibration(open_flight(clean, "uav1").rig, tmp_path)
+    files = {"input.calibration": [str(tmp_path / "left.yaml"), str(tmp_path / "right.yaml")]}
+    bag = rewritten(clean, tmp_path / "bag", without(*INFOS))
+    with pytest.raises(
+        BagError, match=r"lacks /uav1/left/camera_info.*or input\.frames\.left, as the files have no place"
+    ):
+        open_flight(bag, "uav1", load_vehicle(None, overrides=files).input)
+    found = inspected(bag, load_vehicle(None, overrides=files))
+    (only,) = faults(found.findings)
+    assert (only.subject, "judged with that of the images, uav1/left_optical" in only.seen) == ("camera frames", True)
+    config = tmp_path / "mine.yaml"
+    config.write_text(found.block)
+    assert faults(inspected(bag, load_vehicle(config, overrides=files)).findings) == []
 
 
 def test_rectified_images_with_the_lens_of_raw_ones_are_named(clean: Path, tmp_path: Path) -> None:

@@ -57,15 +57,21 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
     name, config = vehicle.strip("/"), config or InputConfig()
     topics, setup = topics_of(bags), SensorSetup.of(name, config)
     left_topic, right_topic = (_image_topic(bags, topics, config.topic(name, side)) for side in SIDES)
-    infos = [config.topic(name, f"{side}_info") for side in SIDES] if setup.needs_infos else []
-    for topic in (*infos, config.topic(name, "imu"), *config.gyro_topics(name)):
+    for side in setup.missing_infos:
+        if (topic := config.topic(name, f"{side}_info")) not in topics:
+            in_file = SIDES.index(side) < len(setup.files.cameras)
+            remedy = (
+                f"input.frames.{side}, as the files have no place of that camera" if in_file else "input.calibration"
+            )
+            raise _missing_topic(bags, topics, topic, f"set input.topics, or {remedy}")
+    for topic in (config.topic(name, "imu"), *config.gyro_topics(name)):
         if topic not in topics:
             raise _missing_topic(bags, topics, topic)
     if (reading := _first(bags, config.topic(name, "imu"))) is not None:
         setup.imu_frame = reading.header.frame_id
     accels = [_first(bags, topic) for topic in config.gyro_topics(name)]
     if setup.needs_frames and not {TF_STATIC, TF} & topics.keys():
-        raise _missing_topic(bags, topics, TF_STATIC)
+        raise _missing_topic(bags, topics, TF_STATIC, "set input.calibration")
     try:
         unused = _collect(bags, topics, setup)
         if TF in topics and setup.missing_transforms():
@@ -145,14 +151,12 @@ def _image_topic(bags: Sequence[Path], topics: Topics, name: str) -> str:
     raise _missing_topic(bags, topics, " or ".join(image_names(name)))
 
 
-def _missing_topic(bags: Sequence[Path], topics: Topics, topic: str) -> BagError:
+def _missing_topic(bags: Sequence[Path], topics: Topics, topic: str, remedy: str = "set input.topics") -> BagError:
     folder = f"/{topic.split('/')[1]}/"
     own = sorted(t for t in topics if t.startswith(folder))
     there = f"below {folder} it holds {', '.join(own)}" if own else f"it holds {', '.join(sorted(topics)) or 'nothing'}"
     if topics.foreign:
         there += f"; {named(topics.foreign)}, which can't be read"
-    remedy = "set input.calibration" if topic == TF_STATIC else "set input.topics"
-    remedy += ", or input.calibration" if topic.endswith("camera_info") else ""
     return BagError(f"bag {names_of(bags)} lacks {topic}; {there}; record that topic, or {remedy}")
 
 

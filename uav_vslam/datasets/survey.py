@@ -105,6 +105,7 @@ class Survey:
         truth: true motion, or None.
         repeated: by side, (N,) whether an image equals the one before.
         images: by side, some decoded images.
+        image_frames: by side, the frame of the first of them; may be empty.
         pair_count: pairs that the graph makes of the images.
         samples: some pairs that are not frozen, each with the next one if that is soon after.
         damage: what broke off reading; empty if nothing did.
@@ -124,9 +125,17 @@ class Survey:
     truth: TruthTrack | None = None
     repeated: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     images: dict[str, list[NDArray[Any]]] = field(default_factory=lambda: {side: [] for side in SIDES})
+    image_frames: dict[str, str] = field(default_factory=dict)
     pair_count: int = 0
     samples: list[tuple[StereoFrame, StereoFrame | None]] = field(default_factory=list)
     damage: str = ""
+
+    @property
+    def unnamed_cameras(self) -> dict[str, str]:
+        """Frames of the images of cameras, by side, whose lens is in a file, but neither their place nor a frame."""
+        known = SIDES[: len(self.setup.files.cameras)]
+        frames = {side: self.image_frames.get(side, "") for side in self.setup.missing_infos if side in known}
+        return {side: frame for side, frame in frames.items() if frame}
 
 
 def topic_of(topics: Mapping[str, TopicInfo], vehicle: str, config: InputConfig, role: str) -> str | None:
@@ -268,7 +277,9 @@ class _Reader:
         if pair is not None:
             self._add_pair(raw.topic, pair)
         if number % max(1, self.found.topics[raw.topic].count // SAMPLES) == 0:  # last: it may be refused
-            self.found.images[side].append(image_of(decode(raw)))
+            built = decode(raw)
+            self.found.image_frames.setdefault(side, built.header.frame_id.lstrip("/"))
+            self.found.images[side].append(image_of(built))
 
     def _add_pair(self, topic: str, pair: StereoPair[RawMessage | None]) -> None:
         """Count a pair, and keep some of those that are not frozen, preferably where the next one follows soon."""

@@ -103,6 +103,9 @@ def inspect_bags(
     foreign = _foreign(to_set)
     used = _with_noise(_with_topics(config, to_set))
     survey = survey_flight(paths, vehicle, used.input, on_message=on_message)
+    if camera_frames := survey.unnamed_cameras:
+        used = replaced(used, {f"input.frames.{k}": v for k, v in camera_frames.items()}, where="frames of images")
+        survey.input = survey.setup.config = used.input
     base = survey.setup.likely_base
     rectified = bool(survey.setup.rectified_twice and not survey.setup.files.cameras)
     if base:
@@ -111,6 +114,8 @@ def inspect_bags(
     found = inspect(survey, used)
     if base:
         found.findings.insert(0, topics.other_body(config.input.base_frame(vehicle), base))
+    if camera_frames:
+        found.findings.insert(0, topics.frames_of_images(camera_frames))
     if foreign:
         found.findings.insert(0, topics.foreign(config.input.topic(vehicle, foreign[0]), to_set, guess))
     for text in recorded_together(paths, used.input.topic(vehicle, "imu")):
@@ -118,8 +123,9 @@ def inspect_bags(
     if found.usable:
         found.findings += _refused(paths, vehicle, used)
     noise = recommended(found.noise)
+    frames = ({"base": base} if base else {}) | camera_frames
     found.block = topics.configuration_block(
-        to_set, guess, noise, vehicle=vehicle, base=base, rectified=rectified, start_method=found.start_method
+        to_set, guess, noise, vehicle=vehicle, frames=frames, rectified=rectified, start_method=found.start_method
     )
     elsewhere = "left" in foreign and not to_set["left"].startswith(f"/{vehicle}/")
     found.block_of = vehicle if (vehicle != DEFAULT_VEHICLE if elsewhere else base) else ""

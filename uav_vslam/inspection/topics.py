@@ -94,7 +94,7 @@ def configuration_block(
     noise: Mapping[str, float],
     *,
     vehicle: str = "",
-    base: str = "",
+    frames: Mapping[str, str] | None = None,
     rectified: bool = False,
     start_method: str = "",
 ) -> str:
@@ -105,17 +105,17 @@ def configuration_block(
         guess: other candidates, named in comments.
         noise: settings of the IMU by name ("imu.gyro_noise").
         vehicle: namespace below which topics are named, so that other vehicles are found by the same names.
-        base: value of input.frames.base; empty to leave it.
+        frames: values of input.frames by name ("base").
         rectified: whether to set input.rectified.
         start_method: value of start.method; empty to leave it.
     """
     lines = []
-    if to_set or base or rectified:
+    if to_set or frames or rectified:
         lines.append("    input:")
     if rectified:
         lines.append("      rectified: true")
-    if base:
-        lines += ["      frames:", f"        base: {base}"]
+    if frames:
+        lines += ["      frames:", *(f"        {name}: {frame}" for name, frame in frames.items())]
     if to_set:
         lines.append("      topics:")
     for role, topic in to_set.items():
@@ -193,6 +193,15 @@ def other_body(name: str, base: str) -> Finding:
     """Return the error that /tf_static has no body of the configured name; the likeliest frame is the body instead."""
     seen = f"{TF_STATIC} has no {name}; judged with {base} as the body, which it connects with all sensors"
     return error("body frame", seen, "the configured name", "put the block below into a configuration")
+
+
+def frames_of_images(frames: Mapping[str, str]) -> Finding:
+    """Return the error that files have the lenses of cameras, by side, but no places; their images' frames serve."""
+    seen = (
+        f"the files have no place of the {' and '.join(frames)} camera, and no camera_info names a frame; judged with "
+        f"that of the images, {' and '.join(frames.values())}"
+    )
+    return error("camera frames", seen, "a name", "put the block below into a configuration")
 
 
 def check_frames(survey: Survey) -> list[Finding]:
