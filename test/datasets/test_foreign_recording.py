@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from ros1_frames import repeated_on_tf
 
-from uav_vslam.config import InputConfig
+from uav_vslam.config import InputConfig, load_vehicle
 from uav_vslam.config.input import FramesConfig, TopicsConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.datasets.cdr import RawMessage, decode, encode, message
-from uav_vslam.errors import CalibrationError
+from uav_vslam.errors import CalibrationError, UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.studies.recordings.foreign import (
     FOREIGN_TOPICS,
     UPSIDE_DOWN,
@@ -73,6 +74,20 @@ def test_cameras_of_different_clocks_are_named(tiny_bag: Path, tmp_path: Path) -
     reason = flight.unpaired_reason()
     assert "s apart (median): their clocks differ" in reason
     assert "pair_tolerance_s" not in reason
+
+
+def test_images_without_stamps_are_the_reason_for_a_start_that_is_not_found(tiny_bag: Path, tmp_path: Path) -> None:
+    """ "None of 1 frames allowed a start", without a word about the others."""
+
+    def unstamped(image: Any) -> Any:
+        image.header.stamp.sec = image.header.stamp.nanosec = 0
+        return image
+
+    changes = [edited(f"/uav1/{side}/image_raw", unstamped) for side in ("left", "right")]
+    flight = open_flight(rewritten(tiny_bag, tmp_path / "bag", *changes), "uav1")
+    said = r"5 of 6 left images found no partner, 5 of 6 stamps of /uav1/left/image_raw are repeated"
+    with pytest.raises(UavVslamError, match=said):
+        track_vehicle(flight, load_vehicle(None, overrides={"start.method": "in_flight"}))
 
 
 def test_a_kalibr_file_replaces_camera_info_and_static_frames(tiny_bag: Path, tmp_path: Path) -> None:

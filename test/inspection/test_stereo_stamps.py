@@ -32,3 +32,9 @@ def test_cameras_of_different_clocks_are_named_and_no_tolerance_is_advised(offse
 def test_a_trigger_with_a_constant_delay_is_still_met_with_a_tolerance() -> None:
     (finding,) = check_pairs(EVEN_NS, EVEN_NS + 40_000_000, 0, tolerance_s=0.0)
     assert "set input.pair_tolerance_s: 0.048" in finding.remedy
+
+
+@pytest.mark.parametrize("stamps_ns", [0 * EVEN_NS, EVEN_NS // 1_000_000_000 * 1_000_000_000])
+def test_stamps_that_repeat_are_no_lack_of_synchronisation(stamps_ns: np.ndarray) -> None:
+    (finding,) = check_pairs(stamps_ns, stamps_ns, len(np.unique(stamps_ns)), tolerance_s=0.0)
+    assert (finding.severity.value, finding.remedy) == ("error", "give each image a stamp of its own")

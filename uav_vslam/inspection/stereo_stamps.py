@@ -64,11 +64,14 @@ def check_pairs(left_ns: Stamps, right_ns: Stamps, pair_count: int, *, tolerance
         f"{pair_count} of {len(left_ns)} left and of {len(right_ns)} right images find a partner"
     )
     allowed = f"{tolerance_ms:.3g} ms (input.pair_tolerance_s)"
-    period_s = float(np.median(np.diff(np.unique(left_ns)))) / NS_PER_S if len(left_ns) > 1 else limits.OWN_CLOCK_S
+    steps_ns = np.diff(np.unique(left_ns))
+    period_s = float(np.median(steps_ns)) / NS_PER_S if len(steps_ns) else limits.OWN_CLOCK_S
     most = max(len(left_ns), len(right_ns))
     if most - pair_count > max(1.0, limits.UNPAIRED_SHARE * most):
         judge = error if pair_count < limits.UNUSABLE_SHARE * len(left_ns) else warning
-        return [judge("stereo stamps", seen, allowed, _remedy(shape, tolerance_ms, period_s))]
+        repeated = len(steps_ns) + 1 < limits.UNUSABLE_SHARE * len(left_ns)  # `timing.check_order` says so
+        remedy = "give each image a stamp of its own" if repeated else _remedy(shape, tolerance_ms, period_s)
+        return [judge("stereo stamps", seen, allowed, remedy)]
     if abs(shape.median_s) * NS_PER_S > NOTABLE_OFFSET_NS:
         remedy = "they count as simultaneous, which is right for triggered cameras only: else synchronise the cameras"
         return [warning("stereo stamps", seen, f"{NOTABLE_OFFSET_NS / 1e6:g} ms for exact pairs", remedy)]

@@ -85,8 +85,10 @@ class VehicleFlight:
         except BagError as error:
             self.track.broken = str(error)
         if self._pipeline.missing_start and (self.track.frames_in or self.track.broken):
-            noticed = "".join(f"{text}; " for text in self.track.warnings)  # what is missing may follow from it
-            raise UavVslamError(
+            noticed = "".join(
+                f"{text}; " for text in (*self.track.warnings, *_mostly_unpaired(self._source, self.track))
+            )
+            raise UavVslamError(  # what is missing may follow from what was noticed
                 f"{self.track.vehicle}: none of {self.track.frames_in} frames allowed a start in flight; "
                 f"{noticed}the last: {self._pipeline.missing_start}"
             )
@@ -175,6 +177,13 @@ def _count_unpaired(source: FlightSource, track: VehicleTrack) -> None:
     reasons = ", ".join(f"{reason} {count}" for reason, count in track.dropped.items()) or "the IMU does not cover any"
     detail = f"; {source.unpaired_reason()}" if alone > 0 else ""
     raise UavVslamError(f"{source.vehicle}: none of {source.frame_count} frames was processed: {reasons}{detail}")
+
+
+def _mostly_unpaired(source: FlightSource, track: VehicleTrack) -> Iterator[str]:
+    """Yield why most images of a whole recording found no partner, if they did not."""
+    alone = source.frame_count - track.frames_in
+    if alone > track.frames_in and not track.broken:
+        yield f"{alone} of {source.frame_count} left images found no partner, {source.unpaired_reason()}"
 
 
 def _check_measured(track: VehicleTrack) -> None:
