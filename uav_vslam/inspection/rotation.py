@@ -30,6 +30,7 @@ SUBJECT, NOT_JUDGED = "gyroscope against", "not judged"
 MIN_INTERVALS = 4
 LATE_MS = range(-300, 301, 5)  # offsets of the clocks that are tried
 LATE_SHARE = 0.5  # of the difference: an offset that leaves less explains it
+LATE_RUINOUS_MS = 25  # of 10 and 20 ms a flight is as good as without, of 30 ms one of three goes astray
 LATE_WARNED_MS = 10  # three sigma of `rig.time_offset_sigma_s`: the filter estimates smaller offsets
 ALLOWED = f"at most {100 * limits.ROTATION_MISFIT:.0f} %"
 COVERED_SHARE = 0.5  # of the intervals without an offset: one that leaves fewer is no match
@@ -131,8 +132,8 @@ def _check_apart(pairs: RatePairs, subject: str) -> list[Finding]:
 
 
 def _late(pairs: RatePairs, subject: str, seen: str, late_ms: int, left: float) -> Finding:
-    """Return the fault that an offset of the clocks explains; offsets of the truth's do not harm the flight."""
-    judge = error if pairs.source == CAMERAS else warning
+    """Return the fault that an offset of the clocks explains; one of the truth's does not harm the flight."""
+    judge = error if pairs.source == CAMERAS and abs(late_ms) > LATE_RUINOUS_MS else warning
     return judge(subject, seen + _late_text(late_ms, left), ALLOWED, _late_remedy(pairs, late_ms))
 
 
