@@ -158,6 +158,15 @@ def test_foreign_topics_are_judged_as_well_and_the_block_makes_the_recording_usa
     assert again.block == ""
 
 
+def test_images_whose_sides_the_names_do_not_tell_are_listed(clean: Path, tmp_path: Path) -> None:
+    names = {LEFT: "/port/image", RIGHT: "/starboard/image"}
+    bag = rewritten(
+        clean, tmp_path / "bag", lambda raw: dataclasses.replace(raw, topic=names.get(raw.topic, raw.topic))
+    )
+    only = "of its type only /port/image, /starboard/image"
+    assert_named(inspected(bag), [("error", f"{side} topic", (only,)) for side in ("left", "right")])
+
+
 def test_an_imu_of_another_name_beside_usual_images_is_judged_as_well(clean: Path, tmp_path: Path) -> None:
     """As a driver in the vehicle's namespace publishes it: unread, it said that the vehicle moves at the start."""
 

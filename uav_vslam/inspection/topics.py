@@ -173,10 +173,12 @@ def _check_presence(survey: Survey, role: str, guess: Guess) -> list[Finding]:
             error(f"{role} topic", seen, allowed, f"record that type, or name another topic by input.topics.{role}")
         ]
     candidates = [one for one in (guess.best.get(role), *guess.alternatives(role)) if one]
+    like = [] if candidates else sorted(_of_type(survey.topics, role))
+    only = f", of its type only {', '.join(like)}" if like else ""
     other = f"record that topic, or set input.topics.{role}{': ' if candidates else ''}{' or '.join(candidates)}"
     if role.endswith("_info"):
         other += ", or give a file with input.calibration"
-    return [error(f"{role} topic", f"{names} was not recorded", " or ".join(TYPES[role]), other)]
+    return [error(f"{role} topic", f"{names} was not recorded{only}", " or ".join(TYPES[role]), other)]
 
 
 def foreign(name: str, to_set: Mapping[str, str], guess: Guess) -> Finding:
