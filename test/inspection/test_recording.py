@@ -233,6 +233,19 @@ def test_cameras_whose_lens_alone_is_in_files_have_the_frames_of_their_images(cl
     assert faults(inspected(bag, load_vehicle(config, overrides=files)).findings) == []
 
 
+def test_a_place_that_is_missing_is_told_from_those_that_are_there(clean: Path, tmp_path: Path) -> None:
+    """Of a body of another name all places were said to be missing."""
+
+    def without_the_imu(transforms: Any) -> Any:
+        for stamped in transforms.transforms:
+            stamped.header.frame_id = "camera_link"
+        return transforms
+
+    bag = rewritten(clean, tmp_path / "bag", edited("/tf_static", without_the_imu), edited(IMU, turned))
+    held = "/tf_static holds camera_link -> uav1/left_optical, camera_link -> uav1/right_optical"
+    assert_named(inspected(bag), [("error", "camera frames", (held,)), ("error", "IMU frame", ("imu_link", held))])
+
+
 def test_rectified_images_with_the_lens_of_raw_ones_are_named(clean: Path, tmp_path: Path) -> None:
     """By drivers that publish both with the camera_info of the raw ones."""
 

@@ -47,6 +47,11 @@ class FrameTree:
             if not self.connected(parent, child) or not _same_place(self.find(parent, child), T)
         }
 
+    @property
+    def held(self) -> str:
+        """All edges in words, by their children."""
+        return ", ".join(f"{parent} -> {child}" for child, (parent, _) in sorted(self._parents.items())) or "nothing"
+
     def borrow(self, edges: Iterable[Edge]) -> None:
         """Add the edges of frames that have no place here yet."""
         for parent, child, pose in edges:
@@ -81,10 +86,9 @@ class FrameTree:
         root, T_root_frame = self._root(frame)
         if root == base_root:
             return T_root_base.inverse() @ T_root_frame
-        held = ", ".join(f"{parent} -> {child}" for child, (parent, _) in sorted(self._parents.items())) or "nothing"
-        left_out = f" ({', '.join(self.faults)})" if self.faults else ""
+        held = self.held + (f" ({', '.join(self.faults)})" if self.faults else "")
         raise CalibrationError(
-            f"/tf_static does not connect {base} and {frame or 'a frame without a name'}; it holds {held}{left_out}. "
+            f"/tf_static does not connect {base} and {frame or 'a frame without a name'}; it holds {held}. "
             f"Publish that transform, name the frames by input.frames, or give a file with input.calibration"
         )
 

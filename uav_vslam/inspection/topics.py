@@ -209,17 +209,19 @@ def frames_of_images(frames: Mapping[str, str]) -> Finding:
 def check_frames(survey: Survey) -> list[Finding]:
     """Check that the places of all sensors are known."""
     setup, recorded = survey.setup, TF_STATIC in survey.topics
-    held = "it does not hold that" if recorded else "it was not recorded"
+    told = f"{TF_STATIC} holds {setup.frames.held}" if recorded else f"{TF_STATIC} was not recorded"
+    if setup.frames.borrowed:
+        told = f"{TF_STATIC} and the still frames of {TF} hold {setup.frames.held}"
     missing = [one for one in setup.missing_transforms() if one not in setup.missing_imu_transforms()]
     if recorded and any(not setup.camera_frame(side) for side in setup.missing_infos):
         missing = []  # without camera_info the frames have no names yet
     found = []
     if missing:
         remedy = "publish it, name the frames by input.frames, or give a file with input.calibration"
-        found.append(error("camera frames", f"{TF_STATIC}: {held}", ", ".join(missing), remedy))
+        found.append(error("camera frames", told, ", ".join(missing), remedy))
     if setup.missing_imu_transforms():
         remedy = "publish it, give a file with input.calibration, or set input.frames.imu if the IMU is the body"
-        seen = f"the IMU's header.frame_id is {setup.imu_frame!r}; {TF_STATIC}: {held}"
+        seen = f"the IMU's header.frame_id is {setup.imu_frame!r}; {told}"
         found.append(error("IMU frame", seen, ", ".join(setup.missing_imu_transforms()), remedy))
     if survey.imu and setup.imu_unnamed:
         remedy = "set input.frames.imu if it is elsewhere"
