@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rendered_views import ground, pose, view
@@ -7,15 +9,21 @@ from uav_vslam.mapping.surface.prepared import PreparedView
 from uav_vslam.mapping.surface.rectification import Depths, rectify
 from uav_vslam.mapping.surface.settings import SurfaceSettings
 from uav_vslam.mapping.surface.stereo import PairPoints, match, sigmas_m
+from uav_vslam.mapping.view import View
 
 SETTINGS = SurfaceSettings(scale=1.0)
 
 
-def points(last: int = 4, relief_m: float = 2.0, bank_deg: float = 0.0) -> PairPoints:
-    left, right = (PreparedView.of(view(k, relief_m, bank_deg), 1.0) for k in (0, last))
+def points(last: int = 4, relief_m: float = 2.0, bank_deg: float = 0.0, noise_grey: float = 0.0) -> PairPoints:
+    left, right = (PreparedView.of(noisy(view(k, relief_m, bank_deg), noise_grey, k), 1.0) for k in (0, last))
     pair = rectify(left, right, Depths(-8.0, 0.0, 8.0), most=160, overlap=0.2)
     assert pair is not None
     return match(pair, SETTINGS)
+
+
+def noisy(clean: View, noise_grey: float, seed: int) -> View:
+    noise = np.random.default_rng(seed).normal(0.0, noise_grey, clean.image.shape)
+    return replace(clean, image=np.clip(np.rint(clean.image + noise), 0, 255).astype(np.uint8))
 
 
 def errors(found: PairPoints, relief_m: float) -> np.ndarray:
@@ -30,6 +38,14 @@ def test_the_surface_is_found_without_bias_as_exactly_as_claimed(relief_m: float
     assert found.share > 0.8
     assert abs(np.median(error)) < 0.3 * found.noise_m
     assert 0.3 < np.percentile(np.abs(error), 68) / found.noise_m < 1.2
+
+
+@pytest.mark.parametrize("noise_grey", [6.0, 12.0])
+def test_noisy_images_are_claimed_to_be_worse(noise_grey: float) -> None:
+    """With a fixed noise of the disparities, heights of noisy images were over-confident by more than twice."""
+    found = points(noise_grey=noise_grey)
+    assert found.noise_m > 1.5 * points().noise_m
+    assert 0.3 < np.percentile(np.abs(errors(found, 2.0)), 68) / found.noise_m < 1.2
 
 
 def test_a_shorter_baseline_is_claimed_and_found_to_be_worse() -> None:
@@ -69,7 +85,7 @@ def test_a_wrong_relative_pose_shifts_the_heights_as_the_sigma_says() -> None:
     assert moved is not None
     settings = SurfaceSettings(scale=1.0, relative_position_m=0.2, relative_attitude_rad=0.0)
     shift = abs(float(np.median(match(moved, settings).points_map[:, 2])))
-    assert sigmas_m(moved, 70.0, settings)[1] == pytest.approx(shift, rel=0.1)
+    assert sigmas_m(moved, 70.0, settings, settings.match_px)[1] == pytest.approx(shift, rel=0.1)
 
 
 def test_different_grounds_do_not_match() -> None:

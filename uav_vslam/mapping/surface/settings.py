@@ -19,7 +19,7 @@ class SurfaceSettings:
         least_overlap: of the views, as a share of the smaller one's ground.
         above_m, below_m: of the surface last seen, by which the searched depths reach beyond it.
         most_disparities: that are searched; a longer range is cut at its far end.
-        match_px: standard deviation of a disparity in the scaled images, pixel locking included.
+        match_px: least standard deviation of a disparity in the scaled images, pixel locking included.
         relative_position_m, relative_attitude_rad: standard deviations of the motion between the views of a pair.
     """
 

@@ -27,6 +27,7 @@ REFINED_PX = 7  # side of the block of the least-squares step
 LARGEST_STEP_PX = 0.75
 UNLIKE = 0.3  # variance of the difference of two blocks over the sum of theirs: 1 if they have nothing in common
 NOISE_GREY = 2.5  # grey levels by which blocks of one grey may differ
+TOGETHER = 3.0  # errors of disparities over those of independent pixels: blocks overlap, and share the pattern's bias
 SPARSE = 16  # every so many points suffice for a median
 SUBPIXEL = 16.0  # OpenCV's disparities are in sixteenths
 
@@ -77,28 +78,33 @@ def match(pair: RectifiedPair, settings: SurfaceSettings) -> PairPoints:
     disparity = _searched(pair, left, right)
     good = (disparity >= pair.first) & (disparity + pair.shift_px > 0.0) & inside[0]
     smooth = [cv2.GaussianBlur(image, (0, 0), SMOOTHED_PX) for image in (left, right)]
-    disparity, good = _refined(disparity, good, smooth[0], np.where(inside[1], smooth[1], 0))
+    disparity, good, error_px = _refined(disparity, good, smooth[0], np.where(inside[1], smooth[1], 0))
     good &= disparity + pair.shift_px > 0.0  # a step may lead past infinity
     points = pair.points_map(disparity, good)
     middle = 0.5 * (pair.left.T_map_cam.t + pair.right.T_map_cam.t)
     below_m = middle[2] - float(np.median(points[::SPARSE, 2])) if len(points) else 1.0
-    noise_m, pose_m = sigmas_m(pair, below_m, settings)
+    noise_m, pose_m = sigmas_m(pair, below_m, settings, _match_px(error_px[good][::SPARSE], settings))
     common = int(np.count_nonzero(inside[0] & inside[1]))
     share = len(points) / max(common, 1)
     return PairPoints(points, middle, pair.R_map_rect[:, 2], below_m, noise_m, pose_m, share)
 
 
-def sigmas_m(pair: RectifiedPair, depth_m: float, settings: SurfaceSettings) -> tuple[float, float]:
+def sigmas_m(pair: RectifiedPair, depth_m: float, settings: SurfaceSettings, match_px: float) -> tuple[float, float]:
     """Return standard deviations of heights at a depth: of each point by itself, and of the whole pair.
 
     From Z = f B / d: dZ = Z^2/(f B) dd, dZ = Z/B dB, and a turn a about the axis across shifts every disparity by
     about f a.
     """
     lever = depth_m**2 / pair.baseline_m
-    noise = lever / pair.focal_px * settings.match_px
+    noise = lever / pair.focal_px * match_px
     return noise, float(
         np.hypot(depth_m / pair.baseline_m * settings.relative_position_m, lever * settings.relative_attitude_rad)
     )
+
+
+def _match_px(errors_px: Floats, settings: SurfaceSettings) -> float:
+    """Return the standard deviation of a disparity: the usual one, or more where (N,) least-squares steps err more."""
+    return max(settings.match_px, TOGETHER * float(np.median(errors_px))) if len(errors_px) else settings.match_px
 
 
 def _searched(pair: RectifiedPair, left: Grey, right: Grey) -> Floats:
@@ -119,11 +125,12 @@ def _searched(pair: RectifiedPair, left: Grey, right: Grey) -> Floats:
     return np.asarray(matcher.compute(left, right).astype(np.float32) / SUBPIXEL)
 
 
-def _refined(disparity: Floats, good: Mask, left: Grey, right: Grey) -> tuple[Floats, Mask]:
-    """Return disparities after a least-squares step each, for a block of its own brightness, and which are right.
+def _refined(disparity: Floats, good: Mask, left: Grey, right: Grey) -> tuple[Floats, Mask, Floats]:
+    """Return disparities after a least-squares step each, for a block of its own brightness; which are right; errors.
 
     The interpolation of the matching costs prefers whole pixels, which shows as terraces; this has no such preference.
-    Right are those whose pixel lies inside of the right image, where the blocks agree.
+    Right are those whose pixel lies inside of the right image, where the blocks agree. The error is the standard
+    deviation of the step by what it leaves over, as if the pixels of a block erred independently.
     """
     columns = np.arange(disparity.shape[1], dtype=np.float32)
     rows = np.arange(disparity.shape[0], dtype=np.float32)[:, None]
@@ -141,11 +148,14 @@ def _refined(disparity: Floats, good: Mask, left: Grey, right: Grey) -> tuple[Fl
     def product(a: Floats, b: Floats, i: int, j: int) -> Floats:  # mean, of deviations from the block's means
         return np.asarray(_block(a * b) / count - sums[i] * sums[j])
 
-    step = -product(slope, residual, 0, 1) / np.maximum(product(slope, slope, 0, 0), np.float32(1e-3))
+    texture = np.maximum(product(slope, slope, 0, 0), np.float32(1e-3))
+    common = product(slope, residual, 0, 1)
+    step = -common / texture
     different = product(residual, residual, 1, 1)
+    error = np.sqrt(np.maximum(different - common * common / texture, np.float32(0.0)) / (texture * count))
     alike = different < UNLIKE * (product(ours, ours, 2, 2) + product(theirs, theirs, 3, 3))
     alike |= different < NOISE_GREY**2
-    return disparity + np.where(np.abs(step) < LARGEST_STEP_PX, step, np.float32(0.0)), good & alike
+    return disparity + np.where(np.abs(step) < LARGEST_STEP_PX, step, np.float32(0.0)), good & alike, error
 
 
 def _block(image: Floats) -> Floats:
