@@ -156,6 +156,14 @@ def test_positions_of_other_pictures_are_told() -> None:
     assert second.startswith("no GPS positions that agree, so the scale is arbitrary")
 
 
+def test_too_few_positions_for_a_scale_are_not_called_none(hilly: Matched) -> None:
+    placement = Placement("none", None, None, False, ())
+    (text,) = _about_gps(with_gps(hilly, HILLY.centres)[0][:2], placement)
+    assert text.startswith("fewer than 3 different GPS positions, so the scale is arbitrary")
+    (text,) = _about_gps(hilly[0], placement)
+    assert text.startswith("no GPS positions, so the scale is arbitrary")
+
+
 def test_positions_that_nothing_checks_are_told() -> None:
     off = np.array([5.0, 9.2, 4.2, np.nan])
     (text,) = _about_gps([], Placement("gps", Datum(47.0, 8.0, 400.0), off, False, ()))

@@ -12,7 +12,7 @@ from uav_vslam.mapping.pictures.features import PictureFeatures
 from uav_vslam.mapping.pictures.layout import lay_out
 from uav_vslam.mapping.pictures.pairs import MatchedPair
 from uav_vslam.mapping.pictures.picture import Picture
-from uav_vslam.mapping.pictures.placement import Placement, place
+from uav_vslam.mapping.pictures.placement import FEWEST_POSITIONS, Placement, place
 from uav_vslam.mapping.pictures.procedure import Adjusted, adjust, cameras_of
 from uav_vslam.mapping.pictures.reading import listed
 from uav_vslam.mapping.pictures.surface import PointSurface
@@ -120,7 +120,7 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
             "are they in the right order, and latitude and longitude not exchanged?"
         )
     if placement.scale == "none":
-        missing = "no GPS positions that agree" if placement.unrelated else "no GPS positions"
+        missing = _missing_gps(pictures, placement)
         yield (
             f"{missing}, so the scale is arbitrary: one unit of the map is a hundredth of the flight's height; "
             "--height gives metres"
@@ -152,3 +152,11 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
     if placement.wrong:
         named = [f"{pictures[k].name} ({placement.gps_m[k]:.0f} m)" for k in placement.wrong]
         yield f"single GPS positions are wrong and have no influence: {listed(named)}"
+
+
+def _missing_gps(pictures: Sequence[Picture], placement: Placement) -> str:
+    """Return what is lacking of GPS to give the scale."""
+    if placement.unrelated:
+        return "no GPS positions that agree"
+    given = any(picture.position is not None for picture in pictures)
+    return f"fewer than {FEWEST_POSITIONS} different GPS positions" if given else "no GPS positions"

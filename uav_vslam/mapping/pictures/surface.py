@@ -41,7 +41,8 @@ class PointSurface:
         points = without_outliers(points)
         if len(points) < FEWEST:
             raise PictureError(
-                f"{len(points)} points of the ground are too few for a surface; pictures overlap too little"
+                f"{len(points)} points of the ground are too few for a surface; pictures overlap too little, or were "
+                "all taken from one place, which shows no heights"
             )
         extent = float(np.ptp(points[:, :2], axis=0).max())
         around = [points[:, :2].min(axis=0) - MARGIN * extent, points[:, :2].max(axis=0) + MARGIN * extent]
