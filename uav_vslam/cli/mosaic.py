@@ -142,7 +142,9 @@ def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, re
     overlap = output.overlap_figures(counts, found.surface.raster.cell_m)
     frame = frame_of(north=found.placement.datum is not None, unit=unit_of(found.placement.scale))
     height = np.where(counts > 0, found.surface.grid, np.nan)
-    draw_ground(height, counts, found.surface.raster.bounds_m, frame, folder, label="Pictures")
+    shown = found.surface.raster.around(*np.nonzero(counts))  # the surface reaches further
+    cut = shown.within(found.surface.raster)
+    draw_ground(height[cut], counts[cut], shown.bounds_m, frame, folder, label="Pictures")
     pixel_m = pixel_m or output.pixel_size_m(found.gsd_m, overlap["area_m2"], MOST_PIXELS)
     with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
         drawn = draw(found, counts, pixel_m, folder, on_view=advance)

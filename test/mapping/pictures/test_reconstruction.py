@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from picture_folder import DATUM, FOCAL_PX, HEIGHT_M, PictureFlight, flight, render, write
+from picture_folder import DATUM, FOCAL_PX, HEIGHT_M, SIZE, PictureFlight, flight, render, write
 from similarity_errors import similarity_errors
 
 from uav_vslam.errors import PictureError
@@ -142,6 +142,16 @@ def test_pictures_without_overlap_are_named_and_left_out(tmp_path: Path) -> None
     found = reconstruct(*matched(flight(1, 10), tmp_path, left_out=(5, 6, 7)))
     assert found.adjusted.used.tolist() == [0, 1, 2, 3, 4]
     assert any("2 of 7 pictures left out" in text and "picture_005.png" in text for text in found.warnings)
+
+
+def test_the_surface_lies_below_all_of_two_pictures_that_hardly_overlap(tmp_path: Path) -> None:
+    """The window ended near the points, in the overlap, and the mosaic showed a third of what the pictures show."""
+    found = reconstruct(*matched(flight(1, 2, along_m=55.0, tilt_deg=0.0), tmp_path), height_m=HEIGHT_M)
+    west, south, east, north = found.surface.raster.bounds_m
+    half = 0.5 * HEIGHT_M * np.array(SIZE) / FOCAL_PX
+    centres = found.adjusted.scene.centres[:, :2]
+    assert (centres.min(axis=0) - 0.9 * half > [west, south]).all()
+    assert (centres.max(axis=0) + 0.9 * half < [east, north]).all()
 
 
 def test_pictures_of_different_places_are_an_error(hilly: Matched) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.densification import all_points
@@ -86,9 +87,16 @@ def reconstruct(
     tracks = join(features, layout.pairs)
     adjusted = adjust(pictures, layout, tracks, focal_known=focal_known)
     adjusted, placement = place(adjusted, pictures, height_m=height_m, focal_known=focal_known)
-    surface = PointSurface(all_points(adjusted, tracks, pictures))
+    surface = PointSurface(all_points(adjusted, tracks, pictures), picture_m=_picture_m(adjusted, sides))
     warnings = tuple(_warnings(pictures, adjusted, placement))
     return Reconstruction(tuple(pictures), adjusted, placement, surface, len(layout.pairs), warnings)
+
+
+def _picture_m(adjusted: Adjusted, sides_px: NDArray[np.float64]) -> float:
+    """Return the longest side on the ground of any picture used [m], for one that looks straight down."""
+    scene, used = adjusted.scene, adjusted.used
+    above_m = scene.centres[used, 2] - np.median(scene.points[:, 2])
+    return float(np.max(above_m * sides_px[used] / np.exp(scene.lenses[scene.lens_of[used], 0])))
 
 
 def _warnings(pictures: Sequence[Picture], adjusted: Adjusted, placement: Placement) -> Iterator[str]:

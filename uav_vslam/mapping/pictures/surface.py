@@ -23,17 +23,18 @@ CELLS_PER_POINT = 1.5  # along each axis; the grid is about as fine as the point
 CELLS = 40, 1000  # fewest and most along the longer side of the points
 SMOOTH_CELLS, SMOOTH_BEYOND_CELLS = 1.0, 12.0
 FEWEST = 12
-MARGIN = 0.35  # of the points' extent around them
+MARGIN = 0.35  # of the points' extent around them, at least
 
 
 class PointSurface:
     """A smooth surface through scattered points."""
 
-    def __init__(self, points: Array) -> None:
+    def __init__(self, points: Array, *, picture_m: float = 0.0) -> None:
         """Build the grid.
 
         Args:
             points: (P, 3) in the map frame.
+            picture_m: longest side of a picture on the ground [m], by which it may reach beyond the points.
 
         Raises:
             PictureError: there are too few points.
@@ -45,7 +46,8 @@ class PointSurface:
                 "all taken from one place, which shows no heights"
             )
         extent = float(np.ptp(points[:, :2], axis=0).max())
-        around = [points[:, :2].min(axis=0) - MARGIN * extent, points[:, :2].max(axis=0) + MARGIN * extent]
+        margin_m = max(MARGIN * extent, picture_m)
+        around = [points[:, :2].min(axis=0) - margin_m, points[:, :2].max(axis=0) + margin_m]
         cells = float(np.clip(CELLS_PER_POINT * np.sqrt(len(points)), *CELLS))
         self.raster = Raster.covering(np.array(around), extent / cells)
         self.grid = _smoothed(*_interpolated(points, self.raster))
