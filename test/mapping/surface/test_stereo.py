@@ -12,6 +12,7 @@ from uav_vslam.mapping.surface.stereo import PairPoints, match, sigmas_m
 from uav_vslam.mapping.view import View
 
 SETTINGS = SurfaceSettings(scale=1.0)
+POND_M = 8.0
 
 
 def points(last: int = 4, relief_m: float = 2.0, bank_deg: float = 0.0, noise_grey: float = 0.0) -> PairPoints:
@@ -94,6 +95,31 @@ def test_different_grounds_do_not_match() -> None:
     pair = rectify(left, other, Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2)
     assert pair is not None
     assert match(pair, SETTINGS).share < 0.1
+
+
+def with_pond(k: int) -> View:
+    """Return a view of level ground, `POND_M` around the middle of which are water: one grey, and noise."""
+    seen = view(k, 0.0)
+    u, v = np.meshgrid(np.arange(seen.camera.width), np.arange(seen.camera.height))
+    rays = seen.camera.bearings(np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)) @ seen.T_map_cam.R.T
+    apart = seen.T_map_cam.t[:2] - seen.T_map_cam.t[2] * rays[:, :2] / rays[:, 2:] - middle_of_pond()
+    water = np.linalg.norm(apart, axis=1).reshape(u.shape) < POND_M
+    return noisy(replace(seen, image=np.where(water, np.uint8(90), seen.image)), 2.0, k)
+
+
+def middle_of_pond() -> np.ndarray:
+    return 0.5 * (pose(0).t + pose(4).t)[:2]
+
+
+def test_water_gives_no_height() -> None:
+    """It took a height from its banks, metres off, over all of it and with a sigma of centimetres."""
+    left, right = (PreparedView.of(with_pond(k), 1.0) for k in (0, 4))
+    pair = rectify(left, right, Depths(-8.0, 0.0, 8.0), most=160, overlap=0.2)
+    assert pair is not None
+    from_middle = np.linalg.norm(match(pair, SETTINGS).points_map[:, :2] - middle_of_pond(), axis=1)
+    within = np.mean(from_middle < 0.7 * POND_M)  # nearer to the bank, blocks show it
+    assert np.mean(from_middle < 2.0 * POND_M) > 0.4
+    assert within < 0.005
 
 
 def test_matching_is_deterministic() -> None:

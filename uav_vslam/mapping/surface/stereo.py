@@ -25,8 +25,7 @@ BORDER = np.ones((3, 3), np.uint8)  # blocks half over the edge of an image matc
 SMOOTHED_PX = 0.8  # standard deviation of a blur for which linear interpolation and differences are exact enough
 REFINED_PX = 7  # side of the block of the least-squares step
 LARGEST_STEP_PX = 0.75
-UNLIKE = 0.3  # variance of the difference of two blocks over the sum of theirs: 1 if they have nothing in common
-NOISE_GREY = 2.5  # grey levels by which blocks of one grey may differ
+UNLIKE = 0.3  # variance of the difference of two blocks over the sum of theirs: 1 if they share nothing but noise
 TOGETHER = 3.0  # errors of disparities over those of independent pixels: blocks overlap, and share the pattern's bias
 SPARSE = 16  # every so many points suffice for a median
 SUBPIXEL = 16.0  # OpenCV's disparities are in sixteenths
@@ -154,7 +153,6 @@ def _refined(disparity: Floats, good: Mask, left: Grey, right: Grey) -> tuple[Fl
     different = product(residual, residual, 1, 1)
     error = np.sqrt(np.maximum(different - common * common / texture, np.float32(0.0)) / (texture * count))
     alike = different < UNLIKE * (product(ours, ours, 2, 2) + product(theirs, theirs, 3, 3))
-    alike |= different < NOISE_GREY**2
     return disparity + np.where(np.abs(step) < LARGEST_STEP_PX, step, np.float32(0.0)), good & alike, error
 
 
