@@ -172,7 +172,7 @@ class SurfaceMapper:
         if _turn_deg(left, right) > settings.largest_turn_deg:
             self.refused[TURNED] += 1
             return
-        searched = Depths(ground.low_m - settings.below_m, ground.middle_m, ground.high_m + settings.above_m)
+        searched = self._searched(ground, min(left.T_map_cam.t[2], right.T_map_cam.t[2]))
         pair = rectify(
             left, right, searched, most=settings.most_disparities, overlap=settings.least_overlap, region=region
         )
@@ -195,6 +195,13 @@ class SurfaceMapper:
         lane.ground = _ground_of(points)
         self.pairs += 1
         self._count("fuse", started)
+
+    def _searched(self, ground: Depths, camera_m: float) -> Depths:
+        """Return the heights to search: beyond the surface last seen, but well below cameras at a height [m]."""
+        settings = self._settings
+        highest_m = ground.middle_m + settings.highest_ratio * (camera_m - ground.middle_m)
+        high_m = min(ground.high_m + settings.above_m, highest_m)
+        return Depths(ground.low_m - settings.below_m, ground.middle_m, high_m)
 
     def _count(self, stage: str, started: float) -> float:
         now = time.process_time()

@@ -18,6 +18,7 @@ class SurfaceSettings:
         largest_turn_deg: between the optical axes of a pair.
         least_overlap: of the views, as a share of the smaller one's ground.
         above_m, below_m: of the surface last seen, by which the searched depths reach beyond it.
+        highest_ratio: of the searched depths' highest surface over the height.
         most_disparities: that are searched; a longer range is cut at its far end.
         match_px: least standard deviation of a disparity in the scaled images, pixel locking included.
         relative_position_m, relative_attitude_rad: standard deviations of the motion between the views of a pair.
@@ -33,6 +34,7 @@ class SurfaceSettings:
     least_overlap: float = 0.3
     above_m: float = 8.0
     below_m: float = 4.0
+    highest_ratio: float = 0.7
     most_disparities: int = 160
     match_px: float = 0.15
     relative_position_m: float = 0.004
