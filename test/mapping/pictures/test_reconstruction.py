@@ -181,6 +181,16 @@ def test_positions_that_nothing_checks_are_told() -> None:
     assert "9 m off" in text
 
 
+def test_a_given_height_that_gps_contradicts_is_doubted_too() -> None:
+    """Twice the true height was taken for a fault of GPS."""
+    off = np.full(9, 28.0)
+    by_gps, given = (Placement(scale, Datum(47.0, 8.0, 400.0), off, False, ()) for scale in ("gps", "height"))
+    (text,) = _about_gps([], given)
+    assert text.startswith("GPS contradicts the pictures or the height given with --height: after the best fit")
+    (text,) = _about_gps([], by_gps)
+    assert text.startswith("GPS contradicts the pictures: after the best fit")
+
+
 def test_altitudes_alone_that_contradict_the_pictures_are_told() -> None:
     (text,) = _about_gps([], Placement("gps", Datum(47.0, 8.0, 400.0), np.full(9, 1.2), True, (), altitudes_off_m=28.0))
     assert text.startswith("GPS altitudes contradict the pictures, by 28 m (median), and are not used")

@@ -143,9 +143,10 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
         )
     elif not placement.believed:
         low, middle, high = np.nanpercentile(placement.gps_m, [10, 50, 90])
+        given = " or the height given with --height" if placement.scale == "height" else ""
         yield (
-            f"GPS contradicts the pictures: after the best fit it is {middle:.0f} m off (median; {low:.0f}–{high:.0f} "
-            f"m from 10 to 90 %); {told} come from that fit alone, and are as uncertain"
+            f"GPS contradicts the pictures{given}: after the best fit it is {middle:.0f} m off (median; "
+            f"{low:.0f}–{high:.0f} m from 10 to 90 %); {told} come from that fit alone, and are as uncertain"
         )
     if placement.altitudes_off_m is not None:
         yield (
