@@ -171,10 +171,12 @@ def test_the_axes_of_a_frame_that_a_start_defines_are_not_called_east_and_north(
 def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["map", str(flown_only(result, tmp_path)), "--cell", "0.1"]) == 1
+    flown = flown_only(result, tmp_path)
+    assert main(["map", str(flown), "--cell", "0.1"]) == 1
     said = capsys.readouterr().err
     assert "pairs have pixels too large for cells of 0.1 m; use --cell 0." in said
     assert "nothing was mapped: no pair of views gave a height" in said  # though they show the ground
+    assert main(["map", str(flown), "--cell", "1", "--no-plots"]) == 0
 
 
 def test_views_ahead_are_told_that_only_what_is_below_is_mapped() -> None:

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from shutil import rmtree
 from typing import TYPE_CHECKING
 
 from uav_vslam.argument_types import positive_number
@@ -108,12 +109,14 @@ def run(args: argparse.Namespace) -> int:
     cv2.setNumThreads(1)
     with unfinished(out) as partial:
         cells = write_map(flights, frame, partial, args.cell, args.pixel, datum)
+    if cells == 0:
+        rmtree(out)  # another attempt may follow
+        say("nothing was mapped: no pair of views gave a height; the figures above say why")
+        return max(code, 1)
     print(f"map: {out}")
     if not args.no_plots:
         print(f"page: {write_page([folder])}")
-    if cells == 0:
-        say("nothing was mapped: no pair of views gave a height; the figures above say why")
-    return code if cells else max(code, 1)
+    return code
 
 
 def _of_runs(args: argparse.Namespace) -> dict[str, object]:
