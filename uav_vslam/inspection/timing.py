@@ -22,7 +22,7 @@ NAMES = {"left": "left images", "right": "right images", "imu": "IMU", "truth": 
 
 
 def check_order(name: str, stamps_ns: Stamps) -> list[Finding]:
-    """Check that (N,) stamps increase; readers drop a message that is not after the one before."""
+    """Check that (N,) stamps increase; nodes drop a message that is not after the one before."""
     if len(stamps_ns) == 0:
         return []
     if not stamps_ns.any():
@@ -38,7 +38,7 @@ def check_order(name: str, stamps_ns: Stamps) -> list[Finding]:
     )
     useless = back > limits.UNUSABLE_SHARE * len(steps) or same > limits.STUCK_SHARE * len(steps)
     judge = error if useless else warning
-    remedy = "such messages are dropped: fix the driver's clock, and let only one driver publish"
+    remedy = "nodes drop such messages: fix the driver's clock, and let only one driver publish"
     return [judge(f"{name} stamps", seen, "each stamp after the one before", remedy)]
 
 
