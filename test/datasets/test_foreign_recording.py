@@ -2,6 +2,7 @@
 """A recording with foreign topics, frames, clocks and calibration gives the same events as the conventional one."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -85,9 +86,19 @@ def test_images_without_stamps_are_the_reason_for_a_start_that_is_not_found(tiny
 
     changes = [edited(f"/uav1/{side}/image_raw", unstamped) for side in ("left", "right")]
     flight = open_flight(rewritten(tiny_bag, tmp_path / "bag", *changes), "uav1")
-    said = r"5 of 6 left images found no partner, 5 of 6 stamps of /uav1/left/image_raw are repeated"
+    said = r"5 of 6 left images found no partner: 5 of 6 stamps of /uav1/left/image_raw are repeated"
     with pytest.raises(UavVslamError, match=said):
         track_vehicle(flight, load_vehicle(None, overrides={"start.method": "in_flight"}))
+
+
+def test_a_flight_of_a_few_images_that_found_a_partner_is_no_quiet_success(tiny_bag: Path, tmp_path: Path) -> None:
+    shifts_ns = itertools.chain([0, 0], itertools.repeat(30_000_000))
+    bag = rewritten(
+        tiny_bag, tmp_path / "bag", edited("/uav1/right/image_raw", lambda image: shifted(image, next(shifts_ns)))
+    )
+    track = track_vehicle(open_flight(bag, "uav1"), load_vehicle(None))
+    assert len(track.outputs) == 2
+    assert any("4 of 6 left images found no partner: " in text for text in track.warnings)
 
 
 def test_a_kalibr_file_replaces_camera_info_and_static_frames(tiny_bag: Path, tmp_path: Path) -> None:

@@ -84,11 +84,10 @@ class VehicleFlight:
             yield from self._pipeline.run(self._source.iter_events())
         except BagError as error:
             self.track.broken = str(error)
+        _warn_of_unpaired(self._source, self.track)
         if self._pipeline.missing_start and (self.track.frames_in or self.track.broken):
-            noticed = "".join(
-                f"{text}; " for text in (*self.track.warnings, *_mostly_unpaired(self._source, self.track))
-            )
-            raise UavVslamError(  # what is missing may follow from what was noticed
+            noticed = "".join(f"{text}; " for text in self.track.warnings)  # what is missing may follow from it
+            raise UavVslamError(
                 f"{self.track.vehicle}: none of {self.track.frames_in} frames allowed a start in flight; "
                 f"{noticed}the last: {self._pipeline.missing_start}"
             )
@@ -179,11 +178,12 @@ def _count_unpaired(source: FlightSource, track: VehicleTrack) -> None:
     raise UavVslamError(f"{source.vehicle}: none of {source.frame_count} frames was processed: {reasons}{detail}")
 
 
-def _mostly_unpaired(source: FlightSource, track: VehicleTrack) -> Iterator[str]:
-    """Yield why most images of a whole recording found no partner, if they did not."""
+def _warn_of_unpaired(source: FlightSource, track: VehicleTrack) -> None:
+    """Warn if most images of a whole recording found no partner, and why; if all, no frame is processed."""
     alone = source.frame_count - track.frames_in
-    if alone > track.frames_in and not track.broken:
-        yield f"{alone} of {source.frame_count} left images found no partner, {source.unpaired_reason()}"
+    if alone > track.frames_in > 0 and not track.broken:
+        text = f"{alone} of {source.frame_count} left images found no partner: {source.unpaired_reason()}"
+        track.warnings.append(text)
 
 
 def _check_measured(track: VehicleTrack) -> None:
