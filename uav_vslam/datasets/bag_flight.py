@@ -109,11 +109,11 @@ class BagFlight:
 
     def unpaired_reason(self) -> str:
         """Return why images found no partner, from the stamps of both cameras."""
-        for topic in (self.left_topic, self.right_topic):
-            stamps_ns = self._stamps_ns(topic, None)
+        left, right = (self._stamps_ns(topic, None) for topic in (self.left_topic, self.right_topic))
+        for topic, stamps_ns in ((self.left_topic, left), (self.right_topic, right)):
             if (repeated := len(stamps_ns) - len(np.unique(stamps_ns))) > len(stamps_ns) / 2:
                 return f"{repeated} of {len(stamps_ns)} stamps of {topic} are repeated: let its driver set them"
-        apart = self.stamps_apart_ns()
+        apart = np.abs(nearest_offsets_ns(left, right))
         if len(apart) == 0:
             return f"{self.left_topic} or {self.right_topic} holds no image"
         nearest_are = f"the nearest stamps of {self.left_topic} and {self.right_topic} are"
