@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from uav_vslam.geometry.rotation import (
     SMALL_ANGLE_RAD,
+    nearest_rotation,
     quaternion_wxyz_from_rotation,
     rotation_from_quaternion_wxyz,
     rotation_from_rpy,
@@ -159,6 +160,18 @@ def test_roll_pitch_yaw_return_from_the_rotation(roll: float, pitch: float, yaw:
     np.testing.assert_allclose(
         rpy_from_rotation(rotation_from_rpy(roll, pitch, yaw)), [roll, pitch, yaw], rtol=0, atol=1e-11
     )
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_no_rotation_is_nearer_to_a_matrix_than_the_nearest(mirrored: bool) -> None:
+    rng = np.random.default_rng(1)
+    matrix = rng.normal(0.0, 1.0, (3, 3))
+    matrix *= 1.0 if (np.linalg.det(matrix) < 0.0) == mirrored else -1.0
+    R = nearest_rotation(matrix)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=ROUNDING)
+    assert np.linalg.det(R) > 0.0
+    others = R @ so3_exp(rng.normal(0.0, 1.0, (200, 3)))
+    assert np.linalg.norm(R - matrix) < np.linalg.norm(others - matrix, axis=(1, 2)).min()
 
 
 def test_rpy_turns_flu_axes_the_right_way() -> None:

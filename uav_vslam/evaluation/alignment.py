@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import rotation_from_rpy
+from uav_vslam.geometry.rotation import nearest_rotation, rotation_from_rpy
 
 Array = NDArray[np.float64]
 
@@ -28,9 +28,7 @@ def align_none(estimate: Array, truth: Array) -> Pose:
 def align_se3(estimate: Array, truth: Array) -> Pose:
     """Return T_truth_estimate that minimises the squared distances."""
     spread = (truth - truth.mean(axis=0)).T @ (estimate - estimate.mean(axis=0))
-    U, _, Vt = np.linalg.svd(spread)
-    handedness = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
-    return _through_centres(U @ handedness @ Vt, estimate, truth)
+    return _through_centres(nearest_rotation(spread), estimate, truth)
 
 
 def align_yaw(estimate: Array, truth: Array) -> Pose:

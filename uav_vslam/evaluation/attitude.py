@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_vslam.evaluation.alignment import align_yaw
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.geometry.rotation import rotation_from_quaternion_wxyz, so3_log
+from uav_vslam.geometry.rotation import nearest_rotation, rotation_from_quaternion_wxyz, so3_log
 
 SAME = 1e-9  # largest difference of quaternions that are one: a sensor's differ by more
 LEAST_TURN_RAD = math.radians(10.0)  # of an estimate: more than its errors
@@ -45,7 +45,6 @@ def turn_between(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]
     R_truth_estimate = align_yaw(estimate.positions, truth.positions).R
     R_estimate, R_truth = (rotation_from_quaternion_wxyz(one.quaternions_wxyz) for one in (estimate, truth))
     turns = np.swapaxes(R_truth_estimate @ R_estimate, -1, -2) @ R_truth
-    U, _, Vt = np.linalg.svd(turns.sum(axis=0))
-    mean = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
+    mean = nearest_rotation(turns.sum(axis=0))
     scatter = so3_log(turns @ mean.T)
     return float(np.linalg.norm(so3_log(mean))), float(np.sqrt(np.mean(np.sum(scatter**2, axis=-1))))

@@ -128,6 +128,13 @@ def so3_log(R: ArrayLike) -> Array:
     return np.asarray(scale * v)
 
 
+def nearest_rotation(matrix: Array) -> Array:
+    """Return the R that maximises trace(R^T M) for one (3, 3) matrix M, such as a sum of rotations or of a b^T."""
+    U, _, Vt = np.linalg.svd(matrix)
+    handedness = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    return np.asarray(U @ handedness @ Vt)
+
+
 def quaternion_wxyz_from_rotation(R: ArrayLike) -> Array:
     """Return the unit quaternion (w >= 0) of a rotation matrix, computed from the largest of its four components.
 
