@@ -33,11 +33,13 @@ def lone_node(kind: Callable[[], Node], domain_id: int) -> Iterator[Callable[...
         nodes.append(kind())
         return nodes[-1]
 
-    yield made
-    for node in nodes:
-        finish(node)
-        node.destroy_node()
-    rclpy.shutdown()
+    try:
+        yield made
+    finally:
+        for node in nodes:
+            finish(node)
+            node.destroy_node()
+        rclpy.shutdown()
 
 
 def deliver(node: VehicleNode, topic: str, message: object) -> None:

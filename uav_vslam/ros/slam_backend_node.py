@@ -119,6 +119,7 @@ class SlamBackendNode(VehicleNode):
         self._status.restart()
         self._saved_ns = None
         self._finds_start = self.config.start.searches and self._stage.initial is None
+        self._write_checkpoint()  # that of the session before must not be resumed
         if self._stage.initial is None and not self._finds_start:
             self.alarms["start"] = "no estimate before a new initial_state: the session began without one"
             self.get_logger().warning(self.alarms["start"])
@@ -133,7 +134,8 @@ class SlamBackendNode(VehicleNode):
             self.get_logger().error(f"{error}; the vehicle starts again from its start state")
             return None
         stage.configure(self.config)
-        self.get_logger().warning(f"resumed from the checkpoint at {stage.stamp_ns} ns, session {stage.session}")
+        reached = "before its first frame" if stage.stamp_ns is None else f"at {stage.stamp_ns} ns"
+        self.get_logger().warning(f"resumed from the checkpoint {reached}, session {stage.session}")
         return stage
 
     def configure(self, config: VehicleConfig) -> None:
@@ -201,6 +203,9 @@ class SlamBackendNode(VehicleNode):
         if self._saved_ns is not None and stamp_ns - self._saved_ns < self.own.checkpoint_s * NS_PER_S:
             return
         self._saved_ns = stamp_ns
+        self._write_checkpoint()
+
+    def _write_checkpoint(self) -> None:
         try:
             save_checkpoint(self._checkpoint, self._stage, self.vehicle)
             self.alarms.pop("checkpoint", None)
