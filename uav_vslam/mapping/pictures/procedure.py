@@ -1,23 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adjustment in rounds: from the flat layout to poses, lenses and points, without false matches.
+"""Adjustment: from a dozen pictures laid out flat to all poses, lenses and points, without false matches.
 
-Every picture starts level, at the height that its scale in the layout means. Rounds with ever tighter robust kernels
-drop false observations. The lenses are free from the start: a wrong one would bend a long strip first, and the way back
-is long. A picture that does not fit is placed anew by its points (PnP), and left out if that fails.
+The pictures of the layout start level, at the height that their scales mean. Rounds with ever tighter robust kernels
+drop false observations. From there the scene grows picture by picture. The lenses are free from the start: a wrong one
+would bend a long strip first, and the way back is long. A picture that does not fit in the end is placed anew by its
+points (PnP), and left out if that fails.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.bundle import Bundle, Priors, Scene
+from uav_vslam.mapping.pictures.growth import grown
 from uav_vslam.mapping.pictures.layout import Layout
-from uav_vslam.mapping.pictures.lens import PARAMETERS, TYPICAL_FOCAL, camera_of
+from uav_vslam.mapping.pictures.lens import PARAMETERS, TYPICAL_FOCAL
 from uav_vslam.mapping.pictures.picture import Picture
+from uav_vslam.mapping.pictures.resection import FEWEST_POINTS, explained, resected
 from uav_vslam.mapping.pictures.tracks import Tracks, strongest
 from uav_vslam.numerics import robust_sigma
 
@@ -29,10 +31,7 @@ EXIF_SIGMA, UNKNOWN_SIGMA, DISTORTION_SIGMA = 0.05, 0.35, 0.1
 PRINCIPAL_SIGMA = 3e-3  # of the principal point along an axis, as a share of the picture's longest side
 ROUNDS = (1e-2, 4e-3, 1.5e-3)  # Huber's bound / side
 FINAL_HUBER = 6e-4
-REJECT = 4.0  # robust sigmas above which an observation is false
-FEWEST_POINTS = 12  # that must hold a picture
 LOST_SHARE = 4e-3  # median error / side of a picture that does not fit
-PNP_SHARE = 3e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +106,7 @@ def adjust(pictures: Sequence[Picture], layout: Layout, tracks: Tracks, *, focal
 
     Args:
         pictures: all of the folder.
-        layout: of those that are connected.
+        layout: of those to begin with.
         tracks: all of them, in pixels.
         focal_known: focal lengths are given by the user.
 
@@ -116,17 +115,29 @@ def adjust(pictures: Sequence[Picture], layout: Layout, tracks: Tracks, *, focal
     """
     sizes = [(picture.width, picture.height) for picture in pictures]
     side = float(np.median([max(size) for size in sizes]))
-    inside = np.isin(tracks.picture, layout.used)
-    tracks = tracks.chosen(inside)
-    tracks = centred(tracks.chosen(strongest(tracks, len(pictures), PER_PICTURE, sizes)), pictures)
+    everything = centred(tracks.chosen(strongest(tracks, len(pictures), PER_PICTURE, sizes)), pictures)
     expected, sigmas = lens_priors(pictures, known=focal_known)
-    scene = flat_scene(layout, tracks, expected, cameras_of(pictures)[1])
     priors = no_positions(expected, sigmas, len(pictures))
-    for share in ROUNDS:
+    tracks = everything.chosen(np.isin(everything.picture, layout.used))
+    scene = flat_scene(layout, tracks, expected, cameras_of(pictures)[1])
+    scene, tracks = _in_rounds(scene, tracks, priors, sizes, ROUNDS)
+    begun = np.unique(tracks.picture)
+    if len(begun) < len(pictures):
+        scene, tracks = grown(scene, everything, begun, priors, sizes)
+        scene, tracks = _in_rounds(scene, tracks, priors, sizes, ROUNDS[-1:])
+    return finish(scene, tracks, priors, side)
+
+
+def _in_rounds(
+    scene: Scene, tracks: Tracks, priors: Priors, sizes: Sequence[tuple[int, int]], shares: Sequence[float]
+) -> tuple[Scene, Tracks]:
+    """Adjust with ever tighter kernels, without false observations and lost pictures."""
+    side = float(np.median([max(size) for size in sizes]))
+    for share in shares:
         scene = Bundle(tracks, priors, huber_px=share * side).adjust(scene)
         scene, tracks = without_false(scene, tracks, share * side)
         scene, tracks = _without_lost(scene, tracks, sizes)
-    return finish(scene, tracks, priors, side)
+    return scene, tracks
 
 
 def finish(scene: Scene, tracks: Tracks, priors: Priors, side_px: float) -> Adjusted:
@@ -158,9 +169,7 @@ def no_positions(lenses: Array, lens_sigmas: Array, count: int) -> Priors:
 
 def without_false(scene: Scene, tracks: Tracks, most_px: float) -> tuple[Scene, Tracks]:
     """Drop observations that are off or behind their camera, and points that fewer than two pictures then see."""
-    residuals = scene.residuals(tracks)
-    bound = max(REJECT * robust_sigma(residuals), 0.5 * most_px)
-    keep = (np.linalg.norm(residuals, axis=1) <= bound) & (scene.in_camera(tracks)[:, 2] > 0.0)
+    keep = explained(scene, tracks, most_px)
     return replace(scene, points=scene.points[tracks.of(keep)]), tracks.chosen(keep)
 
 
@@ -172,27 +181,9 @@ def _without_lost(scene: Scene, tracks: Tracks, sizes: Sequence[tuple[int, int]]
         own = tracks.picture == picture
         if own.sum() >= FEWEST_POINTS and np.median(error[own]) <= LOST_SHARE * max(sizes[picture]):
             continue
-        placed = _placed(scene, tracks, picture, sizes[picture])
+        placed = resected(scene, tracks, picture, sizes[picture])
         if placed is None:
             keep[own] = False
         else:
             scene = placed
     return replace(scene, points=scene.points[tracks.of(keep)]), tracks.chosen(keep)
-
-
-def _placed(scene: Scene, tracks: Tracks, picture: int, size: tuple[int, int]) -> Scene | None:
-    """Return the scene with one picture's pose from its points; None if too few agree."""
-    own = np.flatnonzero(tracks.picture == picture)
-    if len(own) < FEWEST_POINTS:
-        return None
-    camera = camera_of(scene.lenses[scene.lens_of[picture]], *size)
-    pixels = tracks.pixels[own] + 0.5 * (np.array(size) - 1.0)
-    found, turn, shift, inliers = cv2.solvePnPRansac(
-        scene.points[tracks.point[own]], pixels, camera.K, camera.distortion, reprojectionError=PNP_SHARE * max(size)
-    )
-    if not found or inliers is None or len(inliers) < FEWEST_POINTS:
-        return None
-    R_cam_map = cv2.Rodrigues(turn)[0]
-    attitudes, centres = scene.R_cam_map.copy(), scene.centres.copy()
-    attitudes[picture], centres[picture] = R_cam_map, -R_cam_map.T @ shift.ravel()
-    return replace(scene, R_cam_map=attitudes, centres=centres)

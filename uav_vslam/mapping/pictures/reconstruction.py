@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import PictureError
+from uav_vslam.mapping.pictures.agreement import agreeing, torn
 from uav_vslam.mapping.pictures.densification import all_points
 from uav_vslam.mapping.pictures.features import PictureFeatures
+from uav_vslam.mapping.pictures.growth import seed_of
 from uav_vslam.mapping.pictures.layout import lay_out
+from uav_vslam.mapping.pictures.loops import without_contradicted
 from uav_vslam.mapping.pictures.pairs import MatchedPair
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.placement import FEWEST_POSITIONS, Placement, place
@@ -83,13 +86,16 @@ def reconstruct(
     centre = [np.array([0.5 * (picture.width - 1), 0.5 * (picture.height - 1)]) for picture in pictures]
     centred = [each.pixels - middle for each, middle in zip(features, centre, strict=True)]
     sides = np.array([float(max(picture.width, picture.height)) for picture in pictures])
-    layout = lay_out(len(pictures), pairs, centred, sides)
-    tracks = join(features, layout.pairs)
+    pairs = without_contradicted(pairs, [each.pixels for each in features], sides)
+    begun = seed_of(len(pictures), pairs)
+    layout = lay_out(len(pictures), [pair for pair in pairs if {pair.first, pair.second} <= set(begun)], centred, sides)
+    tracks = join(features, pairs)
     adjusted = adjust(pictures, layout, tracks, focal_known=focal_known)
     adjusted, placement = place(adjusted, pictures, height_m=height_m, focal_known=focal_known)
     surface = PointSurface(all_points(adjusted, tracks, pictures), picture_m=_picture_m(adjusted, sides))
-    warnings = tuple(_warnings(pictures, adjusted, placement))
-    return Reconstruction(tuple(pictures), adjusted, placement, surface, len(layout.pairs), warnings)
+    agree = agreeing(adjusted, pairs, features, pictures)
+    warnings = (*_about_tears(pictures, torn(pairs, agree, adjusted.used)), *_warnings(pictures, adjusted, placement))
+    return Reconstruction(tuple(pictures), adjusted, placement, surface, int(agree.sum()), warnings)
 
 
 def _picture_m(adjusted: Adjusted, sides_px: NDArray[np.float64]) -> float:
@@ -108,6 +114,15 @@ def _warnings(pictures: Sequence[Picture], adjusted: Adjusted, placement: Placem
         )
     yield from _about_focal(pictures, adjusted)
     yield from _about_gps(pictures, placement)
+
+
+def _about_tears(pictures: Sequence[Picture], apart: Sequence[MatchedPair]) -> Iterator[str]:
+    if apart:
+        names = sorted({pictures[picture].name for pair in apart for picture in (pair.first, pair.second)})
+        yield (
+            f"the mosaic is torn: {len(apart)} pairs of pictures that match well lie apart in it, of {listed(names)}; "
+            "more overlap, in turns above all, would hold them together"
+        )
 
 
 def _about_focal(pictures: Sequence[Picture], adjusted: Adjusted) -> Iterator[str]:

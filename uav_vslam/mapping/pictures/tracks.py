@@ -34,10 +34,14 @@ class Tracks:
 
     def chosen(self, keep: NDArray[np.bool_]) -> "Tracks":
         """Return the observations kept, of points that keep two or more; points are numbered anew."""
-        number = np.bincount(self.point[keep], minlength=self.count)
-        keep = keep & (number[self.point] >= 2)
+        keep = self.shared(keep)
         kept, point = np.unique(self.point[keep], return_inverse=True)
         return Tracks(self.picture[keep], point.astype(np.intp), self.pixels[keep], len(kept))
+
+    def shared(self, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which (M,) observations are those of `chosen(keep)`, in order."""
+        number = np.bincount(self.point[keep], minlength=self.count)
+        return np.asarray(keep & (number[self.point] >= 2))
 
     def of(self, keep: NDArray[np.bool_]) -> Rows:
         """Return the present numbers of the points of `chosen(keep)`, in order."""
