@@ -4,6 +4,7 @@
 import dataclasses
 import itertools
 
+import numpy as np
 import pytest
 
 from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
@@ -77,10 +78,30 @@ def test_an_epoch_whose_fusion_diverges_costs_that_vehicle_the_epoch_and_no_othe
         assert len(member.poses) == len(tracks[name].outputs)
         assert len(member.epochs) >= 5 - (name == "uav2")
         assert list(member.failures) == ([bad.report.pose.stamp_ns] if name == "uav2" else [])
-    warning = lenient.members["uav2"].warning
+    (warning,) = lenient.members["uav2"].warnings
     assert "1 of 5 epochs could not be fused" in warning
     assert "positive definite" in warning
-    assert lenient.members["uav1"].warning == ""
+    assert lenient.members["uav1"].warnings == []
+
+
+def test_a_peer_whose_landmarks_look_like_others_is_named_once_where_nothing_leaves_its_pairs_out(
+    tracks: dict[str, VehicleTrack],
+) -> None:
+    """Descriptors are rolled by one landmark: nearest neighbours, without a gate, pair all of uav2's wrongly."""
+
+    def confused(output: FrameOutput) -> FrameOutput:
+        if output.joint is None:
+            return output
+        descriptors = np.roll(output.joint.descriptors, 1, axis=0)
+        return dataclasses.replace(output, joint=dataclasses.replace(output.joint, descriptors=descriptors))
+
+    outputs = [confused(output) for output in tracks["uav2"].outputs]
+    flown = tracks | {"uav2": dataclasses.replace(tracks["uav2"], outputs=outputs)}
+    fleet = cooperate(flown, configs(feedback=False, association="nn"))
+    (warning,) = [text for text in fleet["uav1"].warnings if "uav2" in text]
+    assert "contradict the own estimate" in warning
+    assert warning.endswith(f"at {fleet['uav1'].contradictions['uav2']} of {len(fleet['uav1'].epochs)} epochs")
+    assert all(member.warnings == [] for member in cooperate(tracks, configs()).values())
 
 
 def test_each_direction_has_a_link_of_its_own(tracks: dict[str, VehicleTrack]) -> None:

@@ -8,6 +8,7 @@ packets and the fusion follow in stamp order, exactly as in lock-step replay.
 import heapq
 import itertools
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,6 +19,7 @@ from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange, Receiver
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
+from uav_vslam.cooperation.peer_faults import contradiction
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.frame_output import FrameOutput
@@ -48,6 +50,7 @@ class CooperativeTrack:
         epochs: traffic up to each fusion epoch.
         fusion_s: processor time of fusion and packet [s], by the epoch's stamp [ns].
         failures: why epochs could not be fused, by their stamp [ns].
+        contradictions: at how many epochs the landmarks of a peer, or of the loaded map, contradicted the own estimate.
     """
 
     fusion: Fusion
@@ -56,17 +59,23 @@ class CooperativeTrack:
     epochs: list[LinkEpoch] = field(default_factory=list)
     fusion_s: dict[int, float] = field(default_factory=dict)
     failures: dict[int, str] = field(default_factory=dict)
+    contradictions: Counter[str] = field(default_factory=Counter)
 
     @property
-    def warning(self) -> str:
-        """What the failures amount to; empty without any."""
-        if not self.failures:
-            return ""
-        first_ns, reason = next(iter(self.failures.items()))
-        return (
-            f"{len(self.failures)} of {len(self.failures) + len(self.epochs)} epochs could not be fused, and the fused "
-            f"pose went on by the own motion; the first time at {first_ns} ns: {reason}"
-        )
+    def warnings(self) -> list[str]:
+        """What failures and contradictions amount to, a line each; normally none."""
+        epochs = len(self.failures) + len(self.epochs)
+        texts = [
+            f"{contradiction(name)}; at {count} of {epochs} epochs"
+            for name, count in sorted(self.contradictions.items())
+        ]
+        if self.failures:
+            first_ns, reason = next(iter(self.failures.items()))
+            texts.append(
+                f"{len(self.failures)} of {epochs} epochs could not be fused, and the fused pose went on by the own "
+                f"motion; the first time at {first_ns} ns: {reason}"
+            )
+        return texts
 
 
 class Fleet:
@@ -125,10 +134,11 @@ class Fleet:
     def _run_epoch(self, member: CooperativeTrack, joint: JointInformation) -> None:
         self._air.deliver(joint.stamp_ns)
         began_s = time.process_time()
-        member.fusion.fuse(joint)
+        epoch = member.fusion.fuse(joint)
         member.exchange.send()
         member.fusion_s[joint.stamp_ns] = time.process_time() - began_s
         member.epochs.append(link_epoch(member, joint.stamp_ns))
+        member.contradictions.update(epoch.contradicting)
 
     def land(self) -> None:
         """Deliver what has arrived by the last frame."""

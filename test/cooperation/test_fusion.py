@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fused_pose import FusedEpoch, move, propagated
 from uav_vslam.cooperation.fusion import MIN_DELAY_S, Fusion
+from uav_vslam.cooperation.peer_faults import contradictions
 from uav_vslam.geometry.coded_points import DensePoints, pack_lower
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log
@@ -142,6 +143,20 @@ def test_a_peers_packet_reduces_the_uncertainty_of_the_pose(own, peer_packet) ->
     assert np.trace(epoch.pose.covariance[:3, :3]) < 0.7 * np.trace(epoch.own.covariance[:3, :3])
     assert np.linalg.norm(epoch.pose.T_map_body.t - own.T_map_body.t) > 0.1
     assert epoch.common == {"uav2": COUNT}
+
+
+@pytest.mark.parametrize(("association", "contradicting"), [("consistent", []), ("nn", ["uav2"])])
+def test_wrong_pairs_that_a_method_leaves_contradict_the_own_estimate(
+    own, peer_packet, association: str, contradicting: list[str]
+) -> None:
+    """Two of the peer's landmarks, metres apart, look like each other: nearest neighbours pair them wrongly."""
+    right, descriptors = peer_packet("uav3"), peer_packet().descriptors
+    confused = dataclasses.replace(peer_packet(), descriptors=descriptors[[1, 0, *range(2, COUNT)]])
+    confused = dataclasses.replace(confused, checksum=checksum(confused))
+    epoch = fuse(own, confused, right, config=dataclasses.replace(EXACT, association=association))
+    assert "uav2" in epoch.common
+    assert [*contradictions(epoch)] == [f"landmarks/{peer}" for peer in contradicting]
+    assert all("uav2" in text for text in contradictions(epoch).values())
 
 
 def test_the_same_source_in_two_packets_is_not_counted_twice(own, peer_packet) -> None:

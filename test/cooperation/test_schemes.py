@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each scheme makes of the same packet, and where it stops being consistent."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from uav_vslam.config import FUSION_SCHEMES, FUSION_WEIGHTS
-from uav_vslam.cooperation.schemes import SCHEMES, Evidence
+from uav_vslam.cooperation.schemes import FALSE_ALARM, SCHEMES, Evidence
 from uav_vslam.estimation.covariance_intersection import WEIGHTS, Split
 
 Array = NDArray[np.float64]
@@ -86,3 +89,28 @@ def test_where_nothing_is_split_the_floor_is_a_part_of_the_covariance(scheme: st
     found, expected = (SCHEMES[scheme](own(), one, "trace") for one in (measured, whole))
     np.testing.assert_allclose(found.P.total, expected.P.total, rtol=1e-12)
     np.testing.assert_allclose(found.delta, expected.delta, rtol=1e-12)
+
+
+def test_right_evidence_hardly_ever_contradicts_and_what_can_not_be_does() -> None:
+    """At 1e-8 none of 1000 draws of the innovation's own covariance may fail; seven sigmas in every direction do."""
+    measured = evidence(dependent=False)
+    S = E @ own().total @ E.T + measured.R + measured.floor
+    L = np.linalg.cholesky(S)
+    draws = np.random.default_rng(4).normal(size=(1000, K)) @ L.T
+    assert not any(dataclasses.replace(measured, innovation=draw).contradicts(own().total) for draw in draws)
+    impossible = dataclasses.replace(measured, innovation=L @ np.full(K, 7.0))
+    assert impossible.contradicts(own().total)
+
+
+def test_dependent_evidence_contradicts_only_beyond_what_any_correlation_allows() -> None:
+    measured = evidence(dependent=False)
+    S = E @ own().total @ E.T + measured.R + measured.floor
+    at_limit = np.sqrt(chdtri(K, FALSE_ALARM) / K) * np.linalg.cholesky(S) @ np.ones(K)
+    for dependent, factor, expected in (
+        (False, 0.99, False),
+        (False, 1.01, True),
+        (True, 1.41, False),
+        (True, 1.42, True),
+    ):
+        judged = dataclasses.replace(measured, innovation=factor * at_limit, dependent=dependent)
+        assert judged.contradicts(own().total) is expected, (dependent, factor)

@@ -342,6 +342,21 @@ def test_a_silent_peer_is_reported_until_it_is_received_again(fly: Callable[...,
         assert ("uav2" in flight.node.alarms) is expected
 
 
+def test_a_peer_whose_landmarks_contradict_the_own_estimate_is_reported_until_they_fit(
+    fly: Callable[..., Flight],
+) -> None:
+    """Without a gate, landmarks that are known to a metre are paired with some 20 m away."""
+    flight = fly("fusion.association:=nn")
+    publisher, peer = flight.peer("wideband"), Fusion("uav2", FusionConfig())
+    for second, off_m in ((1, 20.0), (2, 0.0)):
+        joint = flight.joint(second, "uav2")
+        peer.fuse(dataclasses.replace(joint, positions=joint.positions + np.array([off_m, 0.0, 0.0])))
+        publisher.publish(packet_to_msg(peer.packet()))
+        assert flight.spin(lambda ns=joint.stamp_ns: flight.newest_ns() == ns)
+        flight.epoch(second + 1)
+        assert ("landmarks/uav2" in flight.node.alarms) is bool(off_m)
+
+
 def test_a_peer_whose_clock_is_an_hour_ahead_is_used_and_named(fly: Callable[..., Flight]) -> None:
     flight, ahead_s = fly(), 3600
     peer = flight.peer("wideband")

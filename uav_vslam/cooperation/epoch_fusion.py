@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.cooperation.fused_pose import FusedEpoch, move
+from uav_vslam.cooperation.fused_pose import LOADED_MAP, FusedEpoch, move
 from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_frame import PeerFrame
 from uav_vslam.cooperation.schemes import SCHEMES
@@ -27,6 +27,7 @@ class EpochFusion:
         common: landmarks shared with each peer.
         matched: identifiers of own landmarks that some peer shares.
         map_landmarks: landmarks shared with the loaded map.
+        contradicting: as of `FusedEpoch`.
     """
 
     def __init__(self, joint: JointInformation, *, scheme: str, weighing: str, prior_id: str) -> None:
@@ -42,6 +43,7 @@ class EpochFusion:
         self.common: dict[str, int] = {}
         self.matched: set[int] = set()
         self.map_landmarks = 0
+        self.contradicting: set[str] = set()
 
     @property
     def landmarks(self) -> OwnLandmarks:
@@ -57,18 +59,22 @@ class EpochFusion:
         """
         self.matched |= set(self.joint.ids[pairs[:, 0]].tolist())
         if len(pairs):
-            self._fuse(packet, pairs, frame, feedback=feedback)
+            self._fuse(packet, pairs, frame, packet.vehicle, feedback=feedback)
 
     def add_map(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
         """Fuse landmarks of a loaded map likewise; it shares none with peers."""
         self.map_landmarks = len(pairs)
         if len(pairs):
-            self._fuse(packet, pairs, frame)
+            self._fuse(packet, pairs, frame, LOADED_MAP)
 
-    def _fuse(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame, *, feedback: bool = False) -> None:
+    def _fuse(
+        self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame, name: str, *, feedback: bool = False
+    ) -> None:
         dependent = bool(self.sources & set(packet.sources)) or packet.prior_id in self._priors
         framed = frame.framed(self.positions, packet, pairs, dependent=dependent)
         evidence = framed.evidence.with_known_floor() if feedback else framed.evidence
+        if self._contradicts(packet, pairs, frame, dependent=dependent):
+            self.contradicting.add(name)
         fused = self._scheme(self._belief, evidence, self._weighing)
         estimate = framed.frame(fused)
         if estimate is not None:
@@ -78,6 +84,11 @@ class EpochFusion:
         self._weight = min(self._weight, fused.weight)
         self.sources |= set(packet.sources)
         self._priors |= {packet.prior_id} - {""}
+
+    def _contradicts(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame, *, dependent: bool) -> bool:
+        """Return whether a packet contradicts the own belief alone: that fused so far may hold others' wrong pairs."""
+        alone = frame.framed(self.joint.positions, packet, pairs, dependent=dependent).evidence
+        return alone.contradicts(self.joint.covariance)
 
     def epoch(self) -> FusedEpoch:
         """Return the result."""
@@ -92,4 +103,5 @@ class EpochFusion:
             sources=frozenset(self.sources),
             frames=self._frames,
             map_landmarks=self.map_landmarks,
+            contradicting=frozenset(self.contradicting),
         )

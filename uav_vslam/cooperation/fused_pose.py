@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 ROUNDING = 1e-10  # of a covariance, relative
 SAME = 1e-8  # relative difference of two covariances that are taken as equal
+LOADED_MAP = "the loaded map"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,7 @@ class FusedEpoch:
         sources: "vehicle/session" whose measurements are fused.
         frames: estimated frames of peers without a common origin.
         map_landmarks: landmarks shared with the loaded map.
+        contradicting: peers, or `LOADED_MAP`, whose landmarks contradict the own estimate.
     """
 
     own: PoseEstimate
@@ -44,6 +46,7 @@ class FusedEpoch:
     sources: frozenset[str]
     frames: dict[str, FrameEstimate]
     map_landmarks: int = 0
+    contradicting: frozenset[str] = frozenset()
 
 
 def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with the peers, as far as their packets show: keys that differ, names of two vehicles, and clocks."""
+"""What is wrong with the peers, as far as their packets show: keys, names of two vehicles, clocks, and landmarks."""
 
+from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.inbox import Inbox
 from uav_vslam.types import NS_PER_S
 
@@ -16,6 +17,19 @@ def peer_faults(inbox: Inbox) -> dict[str, str]:
                 f"name, or packets are forged; session {record.sessions.current} is used"
             )
     return faults
+
+
+def contradictions(epoch: FusedEpoch) -> dict[str, str]:
+    """Return a line for each peer whose landmarks contradicted the own estimate at an epoch, by subject."""
+    return {f"landmarks/{name}": contradiction(name) for name in sorted(epoch.contradicting)}
+
+
+def contradiction(name: str) -> str:
+    """Return that the landmarks of a peer, or of the loaded map, contradict the own estimate, in a line."""
+    return (
+        f"landmarks shared with {name} contradict the own estimate, so the fused one is in doubt: pairs are wrong "
+        "(fusion.association: consistent leaves them out), or a start state or a calibration is"
+    )
 
 
 def clocks_ahead(inbox: Inbox) -> dict[str, str]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import (
@@ -19,9 +20,12 @@ from uav_vslam.estimation.covariance_intersection import (
     split_covariance_intersection,
 )
 from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.numerics import mahalanobis2, symmetrise
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
+
+FALSE_ALARM = 1e-8  # probability that right evidence is said to contradict the own state, per packet
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +68,16 @@ class Evidence:
     def with_known_floor(self) -> "Evidence":
         """Return it with a floor that may be in the own belief already: feedback comes over pairs of a packet."""
         return replace(self, R=self.R + self.floor, floor=np.zeros_like(self.floor))
+
+    def contradicts(self, P: Array) -> bool:
+        """Return whether the innovation is impossible given the (n, n) covariance P of the own state.
+
+        Each pair may pass its gate where all together can't be right. Of dependent evidence the correlation is unknown:
+        (a + b)(a + b)^T <= 2 (a a^T + b b^T).
+        """
+        S = symmetrise(self.E @ P @ self.E.T) + self.R + self.floor
+        limit = chdtri(len(S), FALSE_ALARM) * (2.0 if self.dependent else 1.0)
+        return bool(mahalanobis2(self.innovation, S) > limit)
 
 
 def split_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:

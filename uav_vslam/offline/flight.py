@@ -60,6 +60,5 @@ def fly(
             on_frame(1)
     fleet.land()
     for vehicle, member in fleet.members.items():
-        if member.warning:
-            flights.tracks[vehicle].warnings.append(member.warning)
+        flights.tracks[vehicle].warnings += member.warnings
     return {vehicle: flights.tracks[vehicle] for vehicle in vehicles}, fleet.members

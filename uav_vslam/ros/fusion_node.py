@@ -26,7 +26,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.peer_faults import clocks_ahead, namesake_fault, peer_faults
+from uav_vslam.cooperation.peer_faults import clocks_ahead, contradictions, namesake_fault, peer_faults
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
@@ -197,7 +197,7 @@ class FusionNode(VehicleNode):
         self._publish_frames(stamp_ns, epoch)
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=self.world_frame))
         self._paths.publish(Path(header=header(stamp_ns, self.world_frame), poses=list(self._path)))
-        self._report(stamp_ns, epoch.weight)
+        self._report(stamp_ns, epoch)
 
     def _publish_pose(self, own: PoseEstimate, fused: PoseEstimate, twist: TwistWithCovariance) -> None:
         """Publish the fused pose; the twist, in the body frame, is the own one: packets hold no velocities."""
@@ -224,11 +224,11 @@ class FusionNode(VehicleNode):
         if not self.config.fusion.common_origin:
             self.notes |= {f"frame/{peer}": self._fusion.frame(peer).reason or "found" for peer in epoch.common}
 
-    def _report(self, stamp_ns: int, own_weight: float) -> None:
+    def _report(self, stamp_ns: int, epoch: FusedEpoch) -> None:
         before = set(self._reporter.silent)
-        status = self._reporter.report(stamp_ns, self.world_frame, own_weight=own_weight)
+        status = self._reporter.report(stamp_ns, self.world_frame, own_weight=epoch.weight)
         self._status.publish(status)
-        self._report_faults()
+        self._report_faults(epoch)
         for peer in sorted(before - self._reporter.silent.keys()):
             self.get_logger().info(f"{peer} is received again")
         for peer in sorted(self._reporter.silent.keys() - before):
@@ -248,12 +248,12 @@ class FusionNode(VehicleNode):
             self.get_logger().info(ahead[subject])
         self.notes = {name: text for name, text in self.notes.items() if not name.startswith("clock/")} | ahead
 
-    def _report_faults(self) -> None:
-        """Report a radio that is down, silent peers, keys that differ and names of two vehicles; log the onset."""
+    def _report_faults(self, epoch: FusedEpoch) -> None:
+        """Report a radio that is down, silent peers, and what is wrong with others; log the onset."""
         self._radio.look_for_namesake()
         is_down = self._interface is not None and self._interface.is_down
         radio = {"radio": f"radio interface {self.own.radio_interface} is down"} if is_down else {}
-        faults = radio | peer_faults(self._fusion.inbox)
+        faults = radio | peer_faults(self._fusion.inbox) | contradictions(epoch)
         for subject in sorted(faults.keys() - self.alarms.keys()):
             self.get_logger().warning(faults[subject])
         silent = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
