@@ -100,8 +100,29 @@ def test_a_peer_whose_landmarks_look_like_others_is_named_once_where_nothing_lea
     fleet = cooperate(flown, configs(feedback=False, association="nn"))
     (warning,) = [text for text in fleet["uav1"].warnings if "uav2" in text]
     assert "contradict the own estimate" in warning
-    assert warning.endswith(f"at {fleet['uav1'].contradictions['uav2']} of {len(fleet['uav1'].epochs)} epochs")
+    (count,) = [n for text, n in fleet["uav1"].contradictions.items() if "uav2" in text]
+    assert warning.endswith(f"at {count} of {len(fleet['uav1'].epochs)} epochs")
     assert all(member.warnings == [] for member in cooperate(tracks, configs()).values())
+
+
+@pytest.mark.parametrize(("off_m", "named"), [(20.0, True), (0.0, False)])
+def test_a_peer_whose_start_is_far_off_is_named_though_nothing_of_it_is_fused(
+    tracks: dict[str, VehicleTrack], off_m: float, named: bool
+) -> None:
+    """All of uav2's map is moved; its start state claims 5 cm."""
+
+    def moved(output: FrameOutput) -> FrameOutput:
+        if output.joint is None:
+            return output
+        positions = output.joint.positions + np.array([off_m, 0.0, 0.0])
+        return dataclasses.replace(output, joint=dataclasses.replace(output.joint, positions=positions))
+
+    flown = {name: tracks[name] for name in ("uav1", "uav2")}
+    flown["uav2"] = dataclasses.replace(tracks["uav2"], outputs=[moved(output) for output in tracks["uav2"].outputs])
+    fleet = cooperate(flown, configs())
+    texts = fleet["uav1"].warnings
+    assert any("the map of uav2 is displaced" in text for text in texts) is named
+    assert (fleet["uav1"].fusion.inbox.peers["uav2"].used == 0) is named
 
 
 def test_each_direction_has_a_link_of_its_own(tracks: dict[str, VehicleTrack]) -> None:

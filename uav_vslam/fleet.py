@@ -19,7 +19,7 @@ from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange, Receiver
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
-from uav_vslam.cooperation.peer_faults import contradiction
+from uav_vslam.cooperation.peer_faults import contradictions
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.frame_output import FrameOutput
@@ -50,7 +50,7 @@ class CooperativeTrack:
         epochs: traffic up to each fusion epoch.
         fusion_s: processor time of fusion and packet [s], by the epoch's stamp [ns].
         failures: why epochs could not be fused, by their stamp [ns].
-        contradictions: at how many epochs the landmarks of a peer, or of the loaded map, contradicted the own estimate.
+        contradictions: at how many epochs landmarks of others contradicted the own estimate, by what that means.
     """
 
     fusion: Fusion
@@ -65,10 +65,7 @@ class CooperativeTrack:
     def warnings(self) -> list[str]:
         """What failures and contradictions amount to, a line each; normally none."""
         epochs = len(self.failures) + len(self.epochs)
-        texts = [
-            f"{contradiction(name)}; at {count} of {epochs} epochs"
-            for name, count in sorted(self.contradictions.items())
-        ]
+        texts = [f"{text}; at {count} of {epochs} epochs" for text, count in sorted(self.contradictions.items())]
         if self.failures:
             first_ns, reason = next(iter(self.failures.items()))
             texts.append(
@@ -138,7 +135,7 @@ class Fleet:
         member.exchange.send()
         member.fusion_s[joint.stamp_ns] = time.process_time() - began_s
         member.epochs.append(link_epoch(member, joint.stamp_ns))
-        member.contradictions.update(epoch.contradicting)
+        member.contradictions.update(contradictions(epoch).values())
 
     def land(self) -> None:
         """Deliver what has arrived by the last frame."""

@@ -246,3 +246,15 @@ def test_pairs_that_contradict_the_others_go_as_if_all_were_weighed_afresh_each_
         rows = np.delete(rows, np.argmax(distance2))
     np.testing.assert_array_equal(_consistent(pairs, T), rows)
     assert len(rows) < len(pairs)
+
+
+@pytest.mark.parametrize(
+    ("t", "yaw", "contradicts"), [((0, 0, 0), 0.0, False), ((30, 0, 0), 0.0, True), ((0, 0, 0), 0.5, True)]
+)
+def test_only_maps_displaced_by_more_than_they_claim_contradict_a_common_frame(two_maps, t, yaw, contradicts) -> None:
+    """Each map claims a shift of 1 m, a tenth of a degree of yaw, and 0.3 m of each landmark."""
+    for seed in range(20):
+        pairs, _ = two_maps(seed, wrong=6, t=t, yaw=yaw)
+        found = align(pairs)
+        assert isinstance(found, Alignment)
+        assert found.contradicts_common_frame is contradicts, seed

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from uav_vslam.cooperation.common_landmarks import log_sets, map_area
 from uav_vslam.cooperation.data_snooping import predicted_by_others
@@ -25,9 +26,11 @@ from uav_vslam.cooperation.point_pairs import (
     corrected,
     frame_jacobian,
 )
+from uav_vslam.cooperation.schemes import FALSE_ALARM
 from uav_vslam.cooperation.two_point import GATE, Hypotheses, gated, hypotheses
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.numerics import inverse_spd
+from uav_vslam.geometry.rotation import so3_log
+from uav_vslam.numerics import inverse_spd, mahalanobis2
 
 Array = NDArray[np.float64]
 
@@ -55,6 +58,12 @@ class Alignment:
     T_own_peer: Pose
     covariance: Array
     inliers: Rows
+
+    @property
+    def contradicts_common_frame(self) -> bool:
+        """Whether the maps are displaced by more than both can be off if their frames are the same."""
+        displacement = np.append(self.T_own_peer.t, so3_log(self.T_own_peer.R)[2])
+        return bool(mahalanobis2(displacement, self.covariance) > chdtri(FRAME_DIM, FALSE_ALARM))
 
 
 @dataclass(frozen=True, slots=True)

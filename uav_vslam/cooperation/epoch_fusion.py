@@ -27,7 +27,7 @@ class EpochFusion:
         common: landmarks shared with each peer.
         matched: identifiers of own landmarks that some peer shares.
         map_landmarks: landmarks shared with the loaded map.
-        contradicting: as of `FusedEpoch`.
+        contradicting, displaced: as of `FusedEpoch`.
     """
 
     def __init__(self, joint: JointInformation, *, scheme: str, weighing: str, prior_id: str) -> None:
@@ -44,6 +44,7 @@ class EpochFusion:
         self.matched: set[int] = set()
         self.map_landmarks = 0
         self.contradicting: set[str] = set()
+        self.displaced: set[str] = set()
 
     @property
     def landmarks(self) -> OwnLandmarks:
@@ -60,6 +61,8 @@ class EpochFusion:
         self.matched |= set(self.joint.ids[pairs[:, 0]].tolist())
         if len(pairs):
             self._fuse(packet, pairs, frame, packet.vehicle, feedback=feedback)
+        elif not feedback and frame.is_displaced(OwnLandmarks.of(self.joint), packet):
+            self.displaced.add(packet.vehicle)
 
     def add_map(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
         """Fuse landmarks of a loaded map likewise; it shares none with peers."""
@@ -104,4 +107,5 @@ class EpochFusion:
             frames=self._frames,
             map_landmarks=self.map_landmarks,
             contradicting=frozenset(self.contradicting),
+            displaced=frozenset(self.displaced),
         )

@@ -35,6 +35,7 @@ class FusedEpoch:
         frames: estimated frames of peers without a common origin.
         map_landmarks: landmarks shared with the loaded map.
         contradicting: peers, or `LOADED_MAP`, whose landmarks contradict the own estimate.
+        displaced: peers whose map is displaced against the own one, so that none of its landmarks is used.
     """
 
     own: PoseEstimate
@@ -47,6 +48,7 @@ class FusedEpoch:
     frames: dict[str, FrameEstimate]
     map_landmarks: int = 0
     contradicting: frozenset[str] = frozenset()
+    displaced: frozenset[str] = frozenset()
 
 
 def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]:

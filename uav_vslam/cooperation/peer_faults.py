@@ -21,15 +21,17 @@ def peer_faults(inbox: Inbox) -> dict[str, str]:
 
 def contradictions(epoch: FusedEpoch) -> dict[str, str]:
     """Return a line for each peer whose landmarks contradicted the own estimate at an epoch, by subject."""
-    return {f"landmarks/{name}": contradiction(name) for name in sorted(epoch.contradicting)}
-
-
-def contradiction(name: str) -> str:
-    """Return that the landmarks of a peer, or of the loaded map, contradict the own estimate, in a line."""
-    return (
-        f"landmarks shared with {name} contradict the own estimate, so the fused one is in doubt: pairs are wrong "
-        "(fusion.association: consistent leaves them out), or a start state or a calibration is"
-    )
+    wrong = {
+        f"landmarks/{name}": f"landmarks shared with {name} contradict the own estimate, so the fused one is in doubt: "
+        "pairs are wrong (fusion.association: consistent leaves them out), or a start state or a calibration is"
+        for name in sorted(epoch.contradicting)
+    }
+    displaced = {
+        f"map/{name}": f"the map of {name} is displaced against the own one by more than both claim, so nothing of it "
+        "is fused: one of the two start states is wrong, or they have no common origin (fusion.common_origin: false)"
+        for name in sorted(epoch.displaced)
+    }
+    return wrong | displaced
 
 
 def clocks_ahead(inbox: Inbox) -> dict[str, str]:

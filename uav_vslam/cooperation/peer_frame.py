@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation import common_landmarks
-from uav_vslam.cooperation.alignment import Alignment
+from uav_vslam.cooperation.alignment import Alignment, align
+from uav_vslam.cooperation.common_landmarks import descriptor_matches
 from uav_vslam.cooperation.frame_link import FrameLink
 from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import associate
@@ -41,6 +42,9 @@ class PeerFrame(Protocol):
 
     def agreeing(self, own: OwnLandmarks, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """Return those of (K, 2) pairs, matched by identifier, that pass the gate; none in an unknown frame."""
+
+    def is_displaced(self, own: OwnLandmarks, packet: LandmarkPacket) -> bool:
+        """Return whether landmarks that look alike agree with each other, but not with where both maps claim to be."""
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> "FramedPacket":
         """Return a packet as a measurement of the own state, position, xi and (N, 3) landmarks, in the own frame."""
@@ -91,6 +95,12 @@ class CommonFrame:
         maps = own.positions, own.covariance, packet.positions, packet.covariance
         return pairs[common_landmarks.gated(pairs, *maps, self._config)]
 
+    def is_displaced(self, own: OwnLandmarks, packet: LandmarkPacket) -> bool:
+        """See `PeerFrame`: as if the frame were unknown, the same landmarks are found wherever they are."""
+        pairs = descriptor_matches(own.descriptors, packet, self._config.ratio)
+        found = align(PointPairs.of(own, packet, pairs, self._config.floor_sigma_m))
+        return isinstance(found, Alignment) and found.contradicts_common_frame
+
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> CommonFramePacket:
         """See `PeerFrame`."""
         evidence = Evidence.of_landmarks(
@@ -129,6 +139,10 @@ class UnknownFrame:
         """See `PeerFrame`; at least two, because one pair alone cannot confirm a frame."""
         points = PointPairs.of(own, packet, pairs, self._config.floor_sigma_m)
         return pairs[self._link.agreeing(points)]
+
+    def is_displaced(self, own: OwnLandmarks, packet: LandmarkPacket) -> bool:
+        """See `PeerFrame`: an unknown frame may be anywhere."""
+        return False
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> UnknownFramePacket:
         """See `PeerFrame`; the evidence does not depend on the frame's estimate."""
