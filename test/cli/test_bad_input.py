@@ -354,12 +354,12 @@ def test_a_namespace_of_several_levels_is_refused_before_the_flight(
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("backend.sigma_px=-1", "use a number above 0 [px]"),
+        ("backend.sigma_px=-1", "use a number of at least 0.01 [px]"),
         ("backend.sigma_px=abc", "backend.sigma_px = 'abc' is not allowed; use a number"),
         ("backend.nope=1", "unknown key backend.nope"),
         ("backend", "must have the form KEY=VALUE"),
         ("backend.max_landmarks=1.5", "use a whole number of at least 1"),
-        ("backend.sigma_px=nan", "use a number above 0 [px]"),
+        ("backend.sigma_px=nan", "use a number of at least 0.01 [px]"),
         ("backend=3", "backend must hold keys and values"),
     ],
 )

@@ -87,7 +87,7 @@ WRONG_VEHICLE = {
     "number_as_key": ("7: 1", "unknown key 7"),
     "text_for_number": (
         "backend: {sigma_px: much}",
-        r"given\.yaml: backend\.sigma_px = 'much' is not allowed; use a number above 0 \[px\]",
+        r"given\.yaml: backend\.sigma_px = 'much' is not allowed; use a number of at least 0.01 \[px\]",
     ),
     "number_for_text": ("fusion: {mode: 3}", r"fusion\.mode = 3 is not allowed; use one of wideband, narrowband, none"),
     "fraction_for_count": ("backend: {max_landmarks: 200.5}", r"max_landmarks = 200\.5 .* use a whole number"),
@@ -99,7 +99,7 @@ WRONG_VEHICLE = {
     "section_for_number": ("backend: {sigma_px: {x: 1}}", r"unknown key backend\.sigma_px\.x; did you mean backend"),
     "out_of_range": (
         "backend: {sigma_px: -1.0}",
-        r"given\.yaml: backend\.sigma_px = -1\.0 is not allowed; use a number above 0",
+        r"given\.yaml: backend\.sigma_px = -1\.0 is not allowed; use a number of at least 0.01",
     ),
     "infinite": ("backend: {sigma_px: .inf}", r"backend\.sigma_px = inf is not allowed"),
     "not_a_number": ("imu: {gyro_noise: .nan}", r"imu\.gyro_noise = nan is not allowed"),

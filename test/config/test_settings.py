@@ -136,6 +136,16 @@ WRONG = [
     (StartConfig, "method", "magic", "one of given, static, in_flight, map"),
     (RigConfig, "rigid_sigma_deg", -1e-9, "at least 0"),
     (ImuConfig, "gravity", -9.8, "above 0"),
+    (ImuConfig, "gyro_noise", 7.0, "at most 1"),
+    (ImuConfig, "accel_noise", 60.0, "at most 5"),  # of a data sheet, in micro-g
+    (ImuConfig, "gyro_bias_walk", 1e-12, "at least 1e-10"),
+    (ImuConfig, "accel_bias_walk", 1e-10, "at least 1e-08"),
+    (RigConfig, "focal_ratio_sigma", 10.0, "at most 0.1"),
+    (RigConfig, "miscalibrated_sigma_px", 1e10, "at most 1000"),
+    (BackendConfig, "sigma_px", 1e-4, "at least 0.01"),
+    (BackendConfig, "track_sigma_px", 1e10, "at most 1000"),
+    (BackendConfig, "gamma", 0.01, "at least 0.1"),
+    (FusionConfig, "epoch_s", 1e-12, "at least 0.01"),  # rounded to 0 ns
     (ReplayConfig, "rate", -1.0, "at least 0"),
     (LinkConfig, "loss", 1.1, "at most 1"),
 ]

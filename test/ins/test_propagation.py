@@ -88,7 +88,7 @@ def test_transition_is_the_derivative_of_the_mean(start: NavState, increment: Im
 
 
 def test_process_noise_is_the_increments_error_propagated_to_the_end(start: NavState, increment: ImuIncrement) -> None:
-    _, Q = transition(start, increment, dataclasses.replace(IMU, gyro_bias_walk=1e-12, accel_bias_walk=1e-12))
+    _, Q = transition(start, increment, dataclasses.replace(IMU, gyro_bias_walk=1e-10, accel_bias_walk=1e-8))
     end = propagate(start, increment, gravity=IMU.gravity)
     columns = []
     for step in STEP * np.eye(9):

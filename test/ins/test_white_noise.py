@@ -61,6 +61,11 @@ def test_one_sensor_may_be_noisier_alone() -> None:
     assert found.accel_noise > 2.0 * 7.5e-4
 
 
+def test_what_is_beyond_all_configurations_counts_as_the_largest() -> None:
+    broken = [dataclasses.replace(sample, gyro=1e4 * sample.gyro) for sample in readings(ALL)]
+    assert measured(broken, TRUE).gyro_noise == 1.0
+
+
 def test_vibration_at_one_frequency_is_no_white_noise() -> None:
     assert measured(readings(ALL, tone=1.0), TRUE) is TRUE
 

@@ -204,7 +204,7 @@ def test_the_noise_of_a_calibration_file_counts_where_no_parameter_sets_it(
     assert node.config.imu.accel_noise == node.get_parameter("imu.accel_noise").value == 2.0e-3
 
 
-@pytest.mark.parametrize(("value", "taken"), [(2, 2.0), ("1e-3", 1e-3)])
+@pytest.mark.parametrize(("value", "taken"), [(2, 2.0), ("1e-1", 0.1)])
 def test_a_whole_number_and_an_exponent_may_stand_for_a_float(
     start: Callable[..., Any], value: Any, taken: float
 ) -> None:
@@ -262,7 +262,7 @@ def test_qos_that_is_overridden_for_one_output_is_not_that_of_others(start: Call
         ("backend.sigma_pxx:=1.0", "unknown key backend.sigma_pxx; did you mean backend.sigma_px?"),
         ("mode:=none", "unknown key mode; did you mean fusion.mode?"),
         ("fusion.mode:=radio", "fusion.mode = 'radio' is not allowed; use one of wideband, narrowband, none"),
-        ("backend.sigma_px:=much", "backend.sigma_px = 'much' is not allowed; use a number above 0 [px]"),
+        ("backend.sigma_px:=much", "backend.sigma_px = 'much' is not allowed; use a number of at least 0.01 [px]"),
         ("backend:=5", "backend must hold keys and values, not 5"),
         ("peers:=5", "peers = 5 is not allowed; use a list of texts"),
         ("radio_domain_id:=x", "radio_domain_id = 'x' is not allowed; use a whole number of at least -1"),

@@ -31,13 +31,18 @@ class BackendConfig(Settings):
 
     filter: str = setting("eif", "filter", choices=FILTERS)
     model: str = setting(
-        "ri15", "state and error coordinates; ri15: right-invariant; euler9: the thesis's", choices=STATE_MODELS
+        "ri15",
+        "state and error coordinates; ri15: right-invariant; euler9: the thesis's, over-confident by far",
+        choices=STATE_MODELS,
     )
     gamma: float = setting(
-        100.0, "bound of uhf and thesis_uhf: smaller is more cautious; uhf raises it where infeasible", above=0
+        100.0,
+        "bound of uhf and thesis_uhf: smaller is more cautious; where infeasible, uhf raises it, and "
+        "thesis_uhf is over-confident",
+        at_least=0.1,
     )
     sigma_px: float = setting(
-        1.0, "standard deviation of each raw stereo pixel coordinate", unit="px", above=0, live=True
+        1.0, "standard deviation of each raw stereo pixel coordinate", unit="px", at_least=0.01, live=True
     )
     depth_sigma_ratio: float = setting(
         0.043,
@@ -71,6 +76,7 @@ class BackendConfig(Settings):
         "other errors are in proportion (klt: 0.04, 0.055 with outliers)",
         unit="px",
         above=0,
+        at_most=1000,
         live=True,
     )
     track_noise_from_images: bool = setting(
@@ -97,7 +103,12 @@ class BackendConfig(Settings):
         unit="px",
         at_least=0,
     )
-    max_observations: int = setting(100, "updates a frame, spread over the image", at_least=1, live=True)
+    max_observations: int = setting(
+        100,
+        "landmarks that correct a frame, spread over the image; the window's tracks correct it besides",
+        at_least=1,
+        live=True,
+    )
     max_new_landmarks: int = setting(40, "landmarks added a frame", at_least=0)
     max_in_view: int = setting(120, "with so many landmarks in view no new ones are added", at_least=1)
     max_landmarks: int = setting(200, "landmarks in the state, retained ones included", at_least=1)

@@ -38,7 +38,7 @@ class FusionConfig(Settings):
         1.0,
         "period of fusions and packets, at frames that pass a multiple (narrowband: two packets in three)",
         unit="s",
-        above=0,
+        at_least=0.01,
     )
     scheme: str = setting("split_ci", "how packets are fused", choices=FUSION_SCHEMES)
     weighing: str = setting(

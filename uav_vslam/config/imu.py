@@ -11,10 +11,11 @@ from uav_vslam.config.settings import Settings, setting
 class ImuConfig(Settings):
     """Noise densities (continuous-time) and initial bias uncertainty of the inertial unit; defaults ADIS16480."""
 
-    gyro_noise: float = setting(1.2e-4, "gyroscope white noise", unit="rad/s/sqrt(Hz)", above=0)
-    accel_noise: float = setting(1.1e-3, "accelerometer white noise", unit="m/s^2/sqrt(Hz)", above=0)
-    gyro_bias_walk: float = setting(1.0e-6, "gyroscope bias random walk", unit="rad/s^2/sqrt(Hz)", above=0)
-    accel_bias_walk: float = setting(1.0e-5, "accelerometer bias random walk", unit="m/s^3/sqrt(Hz)", above=0)
+    gyro_noise: float = setting(1.2e-4, "gyroscope white noise", unit="rad/s/sqrt(Hz)", above=0, at_most=1)
+    accel_noise: float = setting(1.1e-3, "accelerometer white noise", unit="m/s^2/sqrt(Hz)", above=0, at_most=5)
+    # With smaller walks the smoother's equations are singular to working precision.
+    gyro_bias_walk: float = setting(1.0e-6, "gyroscope bias random walk", unit="rad/s^2/sqrt(Hz)", at_least=1e-10)
+    accel_bias_walk: float = setting(1.0e-5, "accelerometer bias random walk", unit="m/s^3/sqrt(Hz)", at_least=1e-8)
     gyro_bias_sigma: float = setting(5.0e-4, "gyroscope turn-on bias left after warm-up", unit="rad/s", above=0)
     accel_bias_sigma: float = setting(5.0e-2, "accelerometer turn-on bias left after warm-up", unit="m/s^2", above=0)
     noise_from_readings: bool = setting(

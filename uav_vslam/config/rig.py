@@ -53,12 +53,16 @@ class RigConfig(Settings):
         "not flexing: constant error of the disparity if the calibration is wrong, which the motion shows",
         unit="px",
         above=0,
+        at_most=1000,
     )
     miscalibrated_probability: float = setting(
         0.2, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
     )
     focal_ratio_sigma: float = setting(
-        3.0e-3, "focal length of the right camera over the left one's, relative error, estimated; 0: none", at_least=0
+        3.0e-3,
+        "focal length of the right camera over the left one's, relative error, estimated; 0: none",
+        at_least=0,
+        at_most=0.1,
     )
     time_offset_sigma_s: float = setting(
         3.0e-3, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0

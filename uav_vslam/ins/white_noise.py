@@ -10,11 +10,13 @@ as when motors start, counts without what was measured before; noise that ends c
 import dataclasses
 from collections import deque
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
+from uav_vslam.config.settings import own_settings
 from uav_vslam.ins.gaps import MISSING
 from uav_vslam.types import NS_PER_S, ImuSample
 
@@ -25,6 +27,7 @@ SEGMENTS = 8  # averaged: 2.6 s at 200 Hz
 ONSET = 16  # readings that are enough to see noise begin, 0.08 s at 200 Hz
 OCTAVES = (1 / 8, 1 / 4), (1 / 4, 1 / 2)  # of the sampling rate
 NOISE_RATIO = 2.0  # measured over configured density: with half of the true one, NIS is up to four times too large
+MOST = {name: one.at_most or np.inf for name, one in own_settings(ImuConfig).items()}  # that can be configured
 ONSET_RATIO = 2.5  # of such readings over those before: right noise never had it in 10 000 times, but 2 in 20
 
 
@@ -70,7 +73,11 @@ class WhiteNoise:
     def _measured(self) -> ImuConfig:
         gyro, accel = _densities(self._powers).tolist()
         found, configured = {"gyro_noise": gyro, "accel_noise": accel}, self._configured
-        louder = {name: value for name, value in found.items() if value > NOISE_RATIO * getattr(configured, name)}
+        louder: dict[str, Any] = {
+            name: min(value, MOST[name])
+            for name, value in found.items()
+            if value > NOISE_RATIO * getattr(configured, name)
+        }
         return dataclasses.replace(configured, **louder) if louder else configured
 
 
