@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said about settings that decide nothing with the others, or keep vehicles apart."""
+"""What is said about settings that decide nothing with the others, claim too much, or keep vehicles apart."""
 
 import pytest
 
-from uav_vslam.config import FleetConfig, idle_radio, idle_settings, load_vehicle, separate_maps
+from uav_vslam.config import FleetConfig, idle_radio, idle_settings, load_vehicle, overclaiming_settings, separate_maps
 from uav_vslam.config.fleet import RadioConfig, ReplayConfig
 from uav_vslam.config.settings import all_settings
 from uav_vslam.config.vehicle import VehicleConfig
@@ -13,6 +13,7 @@ CHANGED = {"frontend.matcher": "gtm", "backend.association": "hgtm"}
 
 def test_defaults_are_not_warned_about() -> None:
     assert idle_settings(VehicleConfig()) == {}
+    assert overclaiming_settings(VehicleConfig()) == {}
 
 
 @pytest.mark.parametrize("name", CHANGED)
@@ -32,6 +33,19 @@ def test_without_tracks_nothing_is_anchored() -> None:
     assert idle_settings(sift) == {
         "frontend.anchored": "frontend.anchored = False has no effect: only klt tracks points"
     }
+
+
+@pytest.mark.parametrize(("name", "value"), [("backend.model", "euler9"), ("fusion.association", "coarse_fine")])
+def test_a_baseline_that_claims_too_much_is_named_as_one(name: str, value: str) -> None:
+    found = overclaiming_settings(load_vehicle(None, overrides={name: value}))
+    assert list(found) == [name]
+    assert found[name].startswith(f"{name} = {value} ")
+    assert found[name].endswith("use it to compare, not to fly")
+
+
+def test_who_does_not_cooperate_takes_no_pairs() -> None:
+    alone = load_vehicle(None, overrides={"fusion.association": "nn", "fusion.mode": "none"})
+    assert overclaiming_settings(alone) == {}
 
 
 @pytest.mark.parametrize("name", CHANGED)

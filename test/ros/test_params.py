@@ -228,6 +228,14 @@ def test_a_node_warns_of_its_own_settings_that_decide_nothing(
     assert setting in lines[0]
 
 
+def test_a_node_warns_of_its_own_settings_that_claim_too_much(
+    start: Callable[..., Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    start("fusion", "fusion.association:=nn", "backend.model:=euler9")
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "use it to compare" in line]
+    assert "fusion.association = nn" in line
+
+
 @pytest.mark.parametrize("name", CLASSES)
 def test_configuration_files_of_ours_are_parameter_files_of_every_node(start: Callable[..., Any], name: str) -> None:
     link = ROOT / "config" / "links" / "bad_radio.yaml"

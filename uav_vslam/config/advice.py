@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that decide nothing with the others, or keep vehicles apart: said at start-up, or results would mislead."""
+"""Settings that decide nothing, claim too much, or keep vehicles apart: said at start-up, or results would mislead."""
 
 from collections.abc import Collection, Mapping
 
 from uav_vslam.config.fleet import FleetConfig
-from uav_vslam.config.settings import differences
+from uav_vslam.config.settings import differences, flatten
 from uav_vslam.config.vehicle import VehicleConfig
 
 _WITH_TRACKS = {
@@ -13,6 +13,16 @@ _WITH_TRACKS = {
     "only features whose track has none are associated",
 }
 _WITHOUT_TRACKS = {"frontend.anchored": "has no effect: only klt tracks points"}
+# Methods that are there to be compared with, by what they do (docs/measured/estimator.md, together.md).
+_NINE_STATES = "makes the filter over-confident, with a position NEES of 30 and more: use it to compare, not to fly"
+_DESCRIPTORS_ALONE = (
+    "compares descriptors alone, and with its wrong pairs the fused estimate is worse than the own one, and sure of "
+    "itself: use it to compare, not to fly"
+)
+_BASELINES = {
+    "backend.model": {"euler9": _NINE_STATES},
+    "fusion.association": dict.fromkeys(("nn", "cds", "coarse_fine"), _DESCRIPTORS_ALONE),
+}
 
 
 def idle_settings(config: VehicleConfig) -> dict[str, str]:
@@ -21,6 +31,17 @@ def idle_settings(config: VehicleConfig) -> dict[str, str]:
     tracking = config.frontend.method == "klt"
     reasons, remedy = (_WITH_TRACKS, "; use frontend.method = sift") if tracking else (_WITHOUT_TRACKS, "")
     return {name: f"{name} = {changed[name]} {reason}{remedy}" for name, reason in reasons.items() if name in changed}
+
+
+def overclaiming_settings(config: VehicleConfig) -> dict[str, str]:
+    """Return by dotted name why a setting makes a vehicle claim to know more than it does."""
+    values = flatten(config)
+    idle = {"fusion.association"} if config.fusion.mode == "none" else set()
+    return {
+        name: f"{name} = {values[name]} {reasons[values[name]]}"
+        for name, reasons in _BASELINES.items()
+        if values[name] in reasons and name not in idle
+    }
 
 
 def separate_maps(configs: Mapping[str, VehicleConfig]) -> str:
