@@ -407,7 +407,7 @@ def test_a_wrong_value_is_looked_for_where_it_stands(
     ("arguments", "said"),
     [
         (["simulate", "NEW", "--noise", "-3"], "noise_sigma -3.0 is not allowed"),
-        (["simulate", "NEW", "--frames", "0"], "use 2 or more frames"),
+        (["simulate", "NEW", "--frames", "0"], "use 2 to 1000000 frames"),
         (["simulate", "NEW", "--texture", "nothing.jpg"], "'nothing.jpg' is neither 'grass' nor an image"),
         (["simulate", "FOLDER"], "choose a folder that does not exist yet"),
         (["simulate", "/proc/flight"], "can't record to /proc/flight: No such file or directory; choose another place"),

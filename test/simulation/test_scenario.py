@@ -100,6 +100,10 @@ def test_a_wrong_scenario_is_refused() -> None:
         {"scale": 2.0},
         {"contrast": -0.1},
         {"frame_rate_hz": 1e12},
+        {"frames": 10**12},
+        {"blur_px": 1e9},
+        {"noise_sigma": 1e9},
+        {"vibration_deg": 90.0},
     ):
         with pytest.raises(ConfigError):
             Scenario(**wrong)  # type: ignore[arg-type]

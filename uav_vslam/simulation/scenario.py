@@ -2,7 +2,6 @@
 """A simulated flight of a fleet, fully described by one record; equal records give equal bytes."""
 
 import enum
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +40,9 @@ class Purpose(enum.IntEnum):
 
 
 FLEET = 1000  # vehicle number of the streams that all vehicles share
+MOST_FRAMES = 1_000_000  # 39 hours, whose truth fits in memory
+# Beyond, images show nothing, take minutes each, or the right camera sees the horizon.
+MOST = {"contrast": 10.0, "blur_px": 200.0, "noise_sigma": 255.0, "vibration_deg": 5.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,16 +87,21 @@ class Scenario:
         if self.imu not in IMU_GRADES:
             raise ConfigError(f"imu grade {self.imu!r} is not known; use one of {', '.join(IMU_GRADES)}")
         fastest_hz = NS_PER_S / IMU_PERIOD_NS
-        if not (self.frames >= 2 and 1 <= self.vehicles < FLEET and 0 < self.frame_rate_hz <= fastest_hz):
+        if not (
+            2 <= self.frames <= MOST_FRAMES and 1 <= self.vehicles < FLEET and 0 < self.frame_rate_hz <= fastest_hz
+        ):
             raise ConfigError(
-                f"scenario has {self.frames} frames at {self.frame_rate_hz} Hz and {self.vehicles} vehicles; use 2 or "
-                f"more frames, a rate above 0 and up to {fastest_hz:g} Hz, the IMU's, and 1 to {FLEET - 1} vehicles"
+                f"scenario has {self.frames} frames at {self.frame_rate_hz} Hz and {self.vehicles} vehicles; use 2 to "
+                f"{MOST_FRAMES} frames, a rate above 0 and up to {fastest_hz:g} Hz, the IMU's, and 1 to {FLEET - 1} "
+                "vehicles"
             )
         if not 0.05 <= self.scale <= 1.0:
             raise ConfigError(f"scenario scale {self.scale} is not allowed; use 0.05 to 1")
-        for name in ("contrast", "blur_px", "noise_sigma", "vibration_deg"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ConfigError(f"scenario {name} {getattr(self, name)} is not allowed; use a number of at least 0")
+        for name, most in MOST.items():
+            if not 0.0 <= getattr(self, name) <= most:
+                raise ConfigError(
+                    f"scenario {name} {getattr(self, name)} is not allowed; use a number from 0 to {most:g}"
+                )
 
     @property
     def imu_config(self) -> ImuConfig:
