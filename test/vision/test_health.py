@@ -50,6 +50,14 @@ def test_a_bent_rig_is_reported_after_some_frames(rig: StereoRig) -> None:
     assert "2.9 px off their epipolar lines" in alarms_after(rig, pixels, EPIPOLAR_FRAMES)["rig"]
 
 
+def test_a_gate_that_no_point_passes_is_named(rig: StereoRig) -> None:
+    health = FrontendHealth(rig, 1e-9)
+    pixels = points_of(rig)
+    for _ in range(EPIPOLAR_FRAMES):
+        health.check_points(pixels, rig.triangulate(pixels)[:, 2])
+    assert "frontend.epipolar_px, 1e-09 px, is too small" in health.alarms["rig"]
+
+
 def test_points_outside_the_lens_do_not_hide_a_bent_rig(rig: StereoRig) -> None:
     pixels = points_of(turned(rig, 0.1))
     pixels[3, 2:] = np.nan

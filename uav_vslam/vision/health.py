@@ -88,8 +88,9 @@ class FrontendHealth:
         usual = float(np.median(self._distances))
         wrong = len(self._distances) == EPIPOLAR_FRAMES and usual > EPIPOLAR_SHARE * self.epipolar_px
         text = (
-            f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off, or the frames of the "
-            "cameras are not optical (z ahead, x right)"
+            f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off, the frames of the "
+            "cameras are not optical (z ahead, x right), or "
+            f"frontend.epipolar_px, {self.epipolar_px:g} px, is too small"
         )
         self._set("rig", text if wrong else "")
         self._check_depths(depth_m[np.isfinite(depth_m)])
