@@ -5,6 +5,7 @@ Imported by `--help`, so nothing heavy here.
 """
 
 import argparse
+import dataclasses
 import sys
 from collections.abc import Callable
 
@@ -65,6 +66,21 @@ def positive_number(text: str) -> float:
         return float(Setting("", above=0.0, kind=float).accepted(text))
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
+
+
+def length_of_map(name: str) -> Callable[[str], float]:
+    """Return the type of a length above zero [m], as large as that setting of a map allows."""
+
+    def number(text: str) -> float:
+        from uav_vslam.config.nodes import MapConfig
+        from uav_vslam.config.settings import own_settings
+
+        try:
+            return float(dataclasses.replace(own_settings(MapConfig)[name], at_least=None, above=0.0).accepted(text))
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
+
+    return number
 
 
 def namespace(text: str) -> str:

@@ -128,6 +128,22 @@ def test_a_large_picture_has_larger_pixels_and_that_is_told(
     assert (f"{pixel_m:g} m wide" in said) == ("--pixel M" in said) == (pixel_m > 0.1)
 
 
+@pytest.mark.parametrize(
+    ("options", "allowed"),
+    [
+        (["map", "--cell", "1e9"], "a number above 0 and at most 100 [m]"),
+        (["map", "--pixel", "1e9"], "a number above 0 and at most 50 [m]"),
+        (["mosaic", "--pixel", "0"], "a number above 0 and at most 50 [m]"),
+    ],
+)
+def test_a_side_with_which_there_is_no_map_is_refused(
+    options: list[str], allowed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([*options, str(tmp_path)])
+    assert f"is not {allowed}" in capsys.readouterr().err
+
+
 def flown_only(result: Path, folder: Path) -> Path:
     """Return a copy of the flight, without its map."""
     return Path(shutil.copytree(result, folder / "result", ignore=shutil.ignore_patterns("map", "before")))

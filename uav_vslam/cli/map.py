@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import TYPE_CHECKING
 
-from uav_vslam.argument_types import positive_number
+from uav_vslam.argument_types import length_of_map
 from uav_vslam.cli.arguments import RESULTS, add_datum, datum_of, first_given
 from uav_vslam.cli.messages import say, warn_each
 from uav_vslam.cli.progress import progress_bar
@@ -52,14 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
     parser.add_argument(
         "--cell",
-        type=positive_number,
+        type=length_of_map("cell_m"),
         default=0.5,
         metavar="M",
         help="side of a cell of the height grid [m] (default 0.5)",
     )
     parser.add_argument(
         "--pixel",
-        type=positive_number,
+        type=length_of_map("pixel_m"),
         metavar="M",
         help="side of a pixel of the orthomosaic [m] (default 0.1, or more if that took over 200 megapixels)",
     )

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.argument_types import positive_number
+from uav_vslam.argument_types import length_of_map, positive_number
 from uav_vslam.cli.arguments import add_results, first_given
 from uav_vslam.cli.messages import warn_each
 from uav_vslam.cli.progress import progress_bar
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--pixel",
-        type=positive_number,
+        type=length_of_map("pixel_m"),
         metavar="M",
         help="side of the mosaic's pixels [m] (default: that of the pictures)",
     )

@@ -69,8 +69,11 @@ class MapConfig(Settings):
     """The map of the surface."""
 
     folder: str = setting("", "new folder of the map; empty: it is kept in memory and published only")
-    cell_m: float = setting(0.5, "side of a cell of the height grid", unit="m", above=0)
-    pixel_m: float = setting(0.25, "side of a pixel of the orthomosaic in flight; 0: none", unit="m", at_least=0)
+    cell_m: float = setting(0.5, "side of a cell of the height grid", unit="m", above=0, at_most=100)
+    # Heights are read in cells under whole blocks of pixels: under larger ones they take gigabytes.
+    pixel_m: float = setting(
+        0.25, "side of a pixel of the orthomosaic in flight; 0: none", unit="m", at_least=0, at_most=50
+    )
     publish_s: float = setting(
         5.0, "period at which the map's tiles are saved and the map is published, if it has grown", unit="s", above=0
     )
