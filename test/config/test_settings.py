@@ -18,6 +18,7 @@ from uav_vslam.config import (
     FrontendConfig,
     FusionConfig,
     ImuConfig,
+    InputConfig,
     LinkConfig,
     ReplayConfig,
     RigConfig,
@@ -26,6 +27,7 @@ from uav_vslam.config import (
 )
 from uav_vslam.config.nodes import NODES
 from uav_vslam.config.settings import Settings, all_settings, build, differences, flatten, replaced, setting
+from uav_vslam.config.vehicle import OutputFramesConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.estimation.models import MODELS
 from uav_vslam.slam.map_manager import RETENTION
@@ -157,6 +159,19 @@ def test_what_would_break_a_run_is_refused(cls: type, key: str, value: object, a
         cls(**{key: value})
     with pytest.raises(ConfigError, match=f"is not allowed; use .*{allowed}"):
         dataclasses.replace(cls(), **{key: value})
+
+
+def test_cameras_are_chosen_from_calibration_files() -> None:
+    assert InputConfig(cameras=("cam1", "cam3"), calibration=(Path("camchain.yaml"),)).cameras == ("cam1", "cam3")
+    with pytest.raises(ConfigError, match=r"cameras = \['cam1', 'cam3'\] is not allowed; use none where .*calibration"):
+        InputConfig(cameras=("cam1", "cam3"))
+
+
+@pytest.mark.parametrize("twice", [("world", "map"), ("map", "odom"), ("world", "odom")])
+def test_no_frame_is_its_own_parent(twice: tuple[str, str]) -> None:
+    assert OutputFramesConfig(world="a", map="b", odom="c").map == "b"
+    with pytest.raises(ConfigError, match="'a' is not allowed; use a name for each frame"):
+        OutputFramesConfig(**dict.fromkeys(twice, "a"))
 
 
 def test_either_a_fleet_key_or_signing_keys() -> None:

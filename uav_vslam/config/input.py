@@ -4,7 +4,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uav_vslam.config.settings import Settings, setting
+from uav_vslam.config.settings import Settings, refuse, setting
 
 COMPRESSED = "/compressed"
 TIME_JUMPS = ("bridge", "reset", "refuse")
@@ -81,6 +81,10 @@ class InputConfig(Settings):
     )
     topics: TopicsConfig = field(default_factory=TopicsConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)
+
+    def _check_together(self) -> None:
+        if self.cameras and not self.calibration:
+            refuse("cameras", list(self.cameras), "none where input.calibration names no file that has cameras")
 
     def topic(self, vehicle: str, role: str) -> str:
         """Return the absolute name of a vehicle's topic; `role` is a field of `TopicsConfig`."""

@@ -59,6 +59,11 @@ class OutputFramesConfig(Settings):
     map: str = setting("", "frame of the vehicle's own map; empty: VEHICLE/map")
     odom: str = setting("", "frame in which the own pose has no jumps; empty: VEHICLE/odom")
 
+    def _check_together(self) -> None:
+        names = [name for name in (self.world, self.map, self.odom) if name]
+        if twice := next((name for name in names if names.count(name) > 1), ""):
+            refuse("map", twice, "a name for each frame: TF rejects one that is its own parent")
+
     def map_of(self, vehicle: str) -> str:
         """Return the name of a vehicle's map frame."""
         return self.map or f"{vehicle}/map"
