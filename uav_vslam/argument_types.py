@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 
 MOST_OFFSET_S = 1e9  # between two clocks, one of which may count from its own start
+MOST_WAIT_S = 1e6  # 11 days; neither a sleep nor nanoseconds hold any number
 
 
 def whole_number(least: int, wanted: str = "") -> Callable[[str], int]:
@@ -41,7 +42,7 @@ def number_above_zero(wanted: str, most: float = sys.float_info.max) -> Callable
 
 positive = whole_number(1, "a count of at least 1")
 non_negative = whole_number(0)
-positive_seconds = number_above_zero("a time in seconds above 0")
+positive_seconds = number_above_zero(f"a time in seconds above 0, of at most {MOST_WAIT_S:g}", most=MOST_WAIT_S)
 length_m = number_above_zero("a length in metres above 0")
 
 

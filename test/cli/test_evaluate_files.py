@@ -151,7 +151,9 @@ def test_an_offset_that_no_clock_has_is_refused(offset: str, capsys) -> None:
     assert "is not a time in seconds" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", [["--segments", "10,-5"], ["--segments", "x"], ["--max-gap", "0"]])
+@pytest.mark.parametrize(
+    "option", [["--segments", "10,-5"], ["--segments", "x"], ["--max-gap", "0"], ["--max-gap", "1e300"]]
+)
 def test_wrong_options_are_refused_before_any_work(option: list[str], capsys) -> None:
     with pytest.raises(SystemExit) as leaving:
         main(["evaluate", "nowhere", *option])
