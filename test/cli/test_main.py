@@ -65,6 +65,7 @@ def test_a_lack_of_memory_is_one_line_and_exit_code_1(install: Install, capsys: 
     assert command.main(["bench"]) == 1
     error = capsys.readouterr().err
     assert error.startswith("uav-vslam: not enough memory (Unable to allocate 8.00 PiB")
+    assert "--cell" not in error  # that is a map's
     assert error.count("\n") == 1
 
 

@@ -127,6 +127,7 @@ def test_a_flight_that_can_not_be_simulated_is_refused_in_one_line(
     ("arguments", "message"),
     [
         ("surface --cell 0", "'0' is not a number above 0"),
+        ("surface --cell 1e9", "'1e9' is not a number above 0 and at most 100 [m]"),
         ("orthomosaic --m-per-px -1", "'-1' is not a number above 0"),
         ("filters --altitude -5", "'-5' is not a number above 0"),
         ("filters --speed nan", "'nan' is not a number above 0"),

@@ -56,6 +56,7 @@ Options are given once, but for those whose help says that they may be repeated.
 exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (the readable part of a damaged recording is used
 first), 130 interrupted, 143 terminated, 141 the reader of the output closed the pipe
 """
+MAPPING = ("map", "mosaic")
 FAILURE, WRONG_INPUT, SIGNALLED, BROKEN_PIPE = 1, 2, 128, 141
 USUAL = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}  # handlers
 CLEARING_UP_S = 1.0
@@ -120,7 +121,8 @@ def _run(arguments: list[str]) -> int:
         return BROKEN_PIPE
     except MemoryError as error:
         why = f" ({error})" if str(error) else ""
-        say(f"not enough memory{why}; a map takes less with larger --cell, --pixel")
+        remedy = "; a map takes less with larger --cell, --pixel" if arguments[0] in MAPPING else ""
+        say(f"not enough memory{why}{remedy}")
         return FAILURE
     except OSError as error:
         if error.errno in DISK_FULL:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.argument_types import positive_number, whole_number
+from uav_vslam.argument_types import length_of_map, whole_number
 from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicles", type=whole_number(1), default=1, metavar="N", help="of each flight (default 1)")
     parser.add_argument("--bare", action="store_true", help="nothing stands on the ground")
     parser.add_argument(
-        "--cell", type=positive_number, default=0.5, metavar="M", help="side of a cell [m] (default 0.5)"
+        "--cell", type=length_of_map("cell_m"), default=0.5, metavar="M", help="side of a cell [m] (default 0.5)"
     )
 
 
