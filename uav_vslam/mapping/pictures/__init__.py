@@ -20,6 +20,7 @@ gps_positions  where the pictures were taken by GPS, in metres
 robust_fits  a plane through points and a similarity between points, in spite of outliers
 placement    the result's frame: levelled by the ground, scaled and placed by GPS if that agrees
 agreement    which pairs the result brings together, and where it is torn
+rigidity     groups of pictures whose sizes relative to each other nothing tells
 surface      height of the ground from the points
 densification  all matched points, triangulated from the adjusted poses
 raw_values   which values of 16-bit images are black and white

@@ -19,6 +19,7 @@ from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.placement import FEWEST_POSITIONS, Placement, place
 from uav_vslam.mapping.pictures.procedure import Adjusted, adjust, cameras_of
 from uav_vslam.mapping.pictures.reading import listed
+from uav_vslam.mapping.pictures.rigidity import loose_pictures
 from uav_vslam.mapping.pictures.surface import PointSurface
 from uav_vslam.mapping.pictures.tracks import join
 
@@ -111,6 +112,12 @@ def _warnings(pictures: Sequence[Picture], adjusted: Adjusted, placement: Placem
         yield (
             f"{len(missing)} of {len(pictures)} pictures left out, too few of their points are found in the others "
             f"(blurred, too oblique, too little texture or overlap, or another place): {listed(missing)}"
+        )
+    loose = loose_pictures(adjusted.tracks)
+    if len(loose):
+        yield (
+            f"the place and size of {len(loose)} pictures are uncertain: where they join the others, no ground is in "
+            f"three pictures; more overlap along the path would tell: {listed([pictures[k].name for k in loose])}"
         )
     yield from _about_focal(pictures, adjusted)
     yield from _about_gps(pictures, placement)
