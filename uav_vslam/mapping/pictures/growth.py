@@ -96,8 +96,7 @@ class _Growth:
         """Adjust all that is placed, and drop observations that it does not explain."""
         scene, tracks = self.seen()
         self._scene = Bundle(tracks, self._priors, huber_px=self._huber_px).adjust(scene)
-        rows = np.flatnonzero(self._tracks.shared(self._of_placed()))
-        self._true[rows] = explained(self._scene, tracks, self._huber_px)
+        self._true[self._tracks.shared(self._of_placed())] = explained(self._scene, tracks, self._huber_px)
 
     def place_next(self) -> bool:
         """Place the pictures that are held best by points; return whether there were any."""

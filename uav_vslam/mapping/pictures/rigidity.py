@@ -8,8 +8,6 @@ pictures without such points may be of any size, unless it joins the others at a
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from uav_vslam.mapping.pictures.tracks import Tracks
 
@@ -27,13 +25,12 @@ def loose_pictures(tracks: Tracks) -> NDArray[np.intp]:
     while ready := [group for group in waiting if _joins(group, tied, pairs)]:
         tied = tied.union(*ready)
         waiting = [group for group in waiting if group not in ready]
-    loose = np.array(sorted(set(tracks.picture.tolist()) - tied), np.intp)
-    among = set(loose.tolist())
-    ends = np.array([pair for pair in pairs if among.issuperset(pair)], np.intp).reshape(-1, 2)
-    count = int(tracks.picture.max()) + 1
-    graph = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    part = connected_components(graph, directed=False)[1][loose]
-    return loose[np.bincount(part, minlength=count)[part] >= SMALLEST_GROUP]
+    loose = set(tracks.picture.tolist()) - tied
+    parts: DisjointSet = DisjointSet(loose)
+    for a, b in pairs:
+        if a in loose and b in loose:
+            parts.merge(a, b)
+    return np.array(sorted(k for part in parts.subsets() if len(part) >= SMALLEST_GROUP for k in part), np.intp)
 
 
 def _rigid_groups(pairs: Sets, triples: Sets) -> list[set[int]]:
