@@ -3,7 +3,8 @@
 
 import pytest
 
-from uav_vslam.config import FleetConfig, idle_radio, idle_settings, load_vehicle, overclaiming_settings, separate_maps
+from uav_vslam.config import FleetConfig, idle_radio, load_vehicle, separate_maps
+from uav_vslam.config.advice import idle_settings, overclaiming_settings
 from uav_vslam.config.fleet import RadioConfig, ReplayConfig
 from uav_vslam.config.settings import all_settings
 from uav_vslam.config.vehicle import VehicleConfig

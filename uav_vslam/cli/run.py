@@ -127,14 +127,13 @@ def flown(args: argparse.Namespace, bags: tuple[Path, ...], configs: Mapping[str
 
 def configured(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
     """Return the bags and each vehicle's configuration, after warnings about them."""
-    from uav_vslam.config import idle_settings, overclaiming_settings, separate_maps
+    from uav_vslam.config import doubtful_settings, separate_maps
 
     more = {"fusion.mode": args.mode} if args.mode else {}
     if args.map is not None:
         more |= {"start.method": "map", "start.map": str(args.map.resolve())}
     bags, configs = bags_and_configs(args, _vehicles, more)
-    advice = (idle_settings(config) | overclaiming_settings(config) for config in configs.values())
-    warn_each(text for texts in advice for text in texts.values())
+    warn_each(text for config in configs.values() for text in doubtful_settings(config).values())
     if apart := separate_maps(configs):
         warn(apart)
     return bags, configs

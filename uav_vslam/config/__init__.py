@@ -9,7 +9,7 @@ files       YAML files
 reference   the reference page docs/reference/parameters.md
 """
 
-from uav_vslam.config.advice import idle_radio, idle_settings, overclaiming_settings, separate_maps
+from uav_vslam.config.advice import doubtful_settings, idle_radio, separate_maps
 from uav_vslam.config.backend import ASSOCIATIONS, FILTERS, RETENTION_POLICIES, STATE_MODELS, BackendConfig
 from uav_vslam.config.files import (
     difference_file,
@@ -65,16 +65,15 @@ __all__ = [
     "VehicleConfig",
     "difference_file",
     "differences",
+    "doubtful_settings",
     "expanded",
     "find_config",
     "find_dds_profile",
     "idle_radio",
-    "idle_settings",
     "load_fleet",
     "load_link",
     "load_resolved",
     "load_vehicle",
-    "overclaiming_settings",
     "parameter_file",
     "replaced",
     "separate_maps",

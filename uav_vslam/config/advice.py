@@ -25,6 +25,11 @@ _BASELINES = {
 }
 
 
+def doubtful_settings(config: VehicleConfig) -> dict[str, str]:
+    """Return by dotted name what `idle_settings` and `overclaiming_settings` say."""
+    return idle_settings(config) | overclaiming_settings(config)
+
+
 def idle_settings(config: VehicleConfig) -> dict[str, str]:
     """Return by dotted name why a setting that differs from its default decides nothing, or almost."""
     changed = differences(config)

@@ -16,7 +16,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from uav_vslam.config import VehicleConfig, idle_settings, overclaiming_settings
+from uav_vslam.config import VehicleConfig, doubtful_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.monitor import DROPPED
@@ -60,8 +60,7 @@ class VehicleNode(PausableNode):
         declare(self, self.own)
         self._parameter_service = AnsweringParameterService(self) if self.own.parameter_services else None
         self._settings = VehicleParameters(self, NODES[name].used_names, self.configure)
-        advice = idle_settings(self.config) | overclaiming_settings(self.config)
-        for setting, text in advice.items():
+        for setting, text in doubtful_settings(self.config).items():
             if setting in NODES[name].used_names:
                 self.get_logger().warning(text)
         self.vehicle: str = self.own.vehicle or vehicle_in(self.get_namespace())
