@@ -4,19 +4,24 @@
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
 from command import refused
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from uav_vslam.cli.arguments import MODES
 from uav_vslam.cli.main import main
 from uav_vslam.config.fusion import MODE_BUDGETS
 from uav_vslam.errors import UavVslamError
-from uav_vslam.ros.mode_switch import switch_mode
+from uav_vslam.ros.mode_switch import current_mode, switch_mode
 from uav_vslam.ros.qos import NEWEST
 from uav_vslam.ros.topic_tools import observer, print_rate
 
@@ -31,7 +36,7 @@ def fusion(domain_id: int) -> Iterator[int]:
         command, env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)}, stderr=subprocess.DEVNULL
     ) as node:
         yield domain_id
-        node.kill()
+        node.terminate()
 
 
 def test_the_mode_is_read_and_switched_by_a_typed_command(fusion: int, capfd: pytest.CaptureFixture[str]) -> None:
@@ -44,12 +49,37 @@ def test_the_mode_is_read_and_switched_by_a_typed_command(fusion: int, capfd: py
         switch_mode(node, "uav2", "loud", wait_s=60.0)
 
 
+def test_a_node_that_drops_its_first_answer_is_asked_again(domain_id: int, listener: Node) -> None:
+    """As one on a busy machine does that has not discovered the asking one yet."""
+    asked = []
+
+    def answer(request: GetParameters.Request, response: GetParameters.Response) -> GetParameters.Response:
+        asked.append(request)
+        response.values = [ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="wideband")]
+        return response
+
+    service = listener.create_service(GetParameters, "/uav2/fusion/get_parameters", answer)
+    send = service.send_response
+    service.send_response = lambda *response: send(*response) if len(asked) > 1 else None
+    executor = SingleThreadedExecutor(context=listener.context)
+    executor.add_node(listener)
+    serving = threading.Thread(target=executor.spin)
+    serving.start()
+    try:
+        with observer(domain_id) as node:
+            assert current_mode(node, "uav2", wait_s=60.0) == "wideband"
+    finally:
+        executor.shutdown()
+        serving.join()
+    assert len(asked) > 1
+
+
 def test_a_vehicle_may_be_in_a_namespace_of_a_fleet(domain_id: int, capfd: pytest.CaptureFixture[str]) -> None:
     command = [sys.executable, "-m", "uav_vslam.ros.fusion_node", "--ros-args", "-r", "__ns:=/fleet/uav2"]
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as node:
         assert main(["mode", "/fleet/uav2", "narrowband", "--domain", str(domain_id), "--wait", "60"]) == 0
-        node.kill()
+        node.terminate()
     assert capfd.readouterr().out == "fleet/uav2: narrowband\n"
 
 

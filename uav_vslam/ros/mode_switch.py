@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads and sets a flying vehicle's communication mode, a parameter of its fusion node."""
 
+import time
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -10,6 +11,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.topic_tools import Observer
 
 MODE = "fusion.mode"
+ASK_AGAIN_S = 2.0  # a node that has not discovered the asking one yet drops its answer (rmw_fastrtps, after 0.1 s)
 
 
 def current_mode(node: Observer, vehicle: str, *, wait_s: float) -> str:
@@ -37,15 +39,18 @@ def switch_mode(node: Observer, vehicle: str, mode: str, *, wait_s: float) -> No
 
 def _call(node: Observer, vehicle: str, kind: Any, name: str, request: Any, wait_s: float) -> Any:
     service = f"/{vehicle}/fusion/{name}"
+    end_s = time.monotonic() + wait_s
     client = node.create_client(kind, service)
     try:
         if not node.spin_until(client.service_is_ready, wait_s):
             raise UavVslamError(
                 f"{service} is not there; is {vehicle} flying, on this domain, and not with --no-parameter-services?"
             )
-        answer = client.call_async(request)
-        if not node.spin_until(answer.done, wait_s):
-            raise UavVslamError(f"{service} did not answer within {wait_s:g} s; is its node alive?")
-        return answer.result()
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            answer = client.call_async(request)
+            if node.spin_until(answer.done, min(ASK_AGAIN_S, left_s)):
+                return answer.result()
+            client.remove_pending_request(answer)
+        raise UavVslamError(f"{service} did not answer within {wait_s:g} s; is its node alive?")
     finally:
         node.destroy_client(client)
