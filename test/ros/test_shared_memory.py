@@ -4,6 +4,7 @@
 import contextlib
 import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,10 +15,11 @@ from pathlib import Path
 import pytest
 
 from uav_vslam.cli.launch import _remove_leftovers, launch
-from uav_vslam.config import FleetConfig, ReplayConfig
+from uav_vslam.config import FleetConfig, ReplayConfig, VehicleConfig
 from uav_vslam.ros import shared_memory
 from uav_vslam.ros.shared_memory import FOLDER, SETTLED_S, remove_leftovers
 from uav_vslam.ros.supervisor import Supervisor
+from uav_vslam.ros.transport import PROFILES_FILE
 from waiting import wait_for
 
 pytestmark = pytest.mark.ros
@@ -162,3 +164,17 @@ def test_a_launch_tells_of_what_it_freed_unless_it_is_next_to_nothing(
 
 def test_where_there_is_no_shared_memory_nothing_is_removed(tmp_path: Path) -> None:
     assert remove_leftovers(tmp_path / "absent").names == ()
+
+
+def test_a_launch_tells_of_too_little_shared_memory_as_containers_have(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv(PROFILES_FILE, raising=False)
+    monkeypatch.setattr(Supervisor, "run", lambda *_: 0)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(64_000_000, 0, 64_000_000))
+    launch(FleetConfig({"uav1": VehicleConfig()}, ReplayConfig()))
+    assert "64 MB free, and the nodes use up to 70 MB there" in capfd.readouterr().err
+    launch(FleetConfig({}, ReplayConfig()))
+    monkeypatch.setenv(PROFILES_FILE, "mine.xml")
+    launch(FleetConfig({"uav1": VehicleConfig()}, ReplayConfig()))
+    assert "64 MB" not in capfd.readouterr().err

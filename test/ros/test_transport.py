@@ -12,7 +12,7 @@ pytest.importorskip("rclpy", reason="needs ROS")
 from node_processes import Witness, running
 
 from uav_vslam.config import find_dds_profile
-from uav_vslam.ros.fleet_commands import VEHICLE_NODES, NodeSpec
+from uav_vslam.ros.fleet_commands import IN_SHARED_MEMORY, VEHICLE_NODES, NodeSpec
 from uav_vslam.ros.transport import DISCOVERY_RANGE, PROFILES_FILE, udp_alone
 
 pytestmark = pytest.mark.ros
@@ -32,7 +32,7 @@ def test_only_nodes_with_images_map_shared_memory(
     with Witness(domain_id) as witness, running(specs, tmp_path, domain_id) as processes:
         assert witness.sees(lambda: len(witness.statuses) == len(specs))
         maps = {name: Path(f"/proc/{process.pid}/maps").read_text() for name, process in processes.items()}
-    assert {name for name, mapped in maps.items() if SEGMENT in mapped} == {"stereo_frontend", "mapper", "fusion"}
+    assert {name for name, mapped in maps.items() if SEGMENT in mapped} == IN_SHARED_MEMORY - {"replay"}
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from uav_vslam.cli.messages import say, warn_each
 
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
+    from uav_vslam.ros.fleet_commands import NodeSpec
 
 LOG_LEVELS = ("debug", "info", "warn", "error")
 HELP = "start a fleet's node graph, one process a node"
@@ -179,7 +180,11 @@ def launch(
     with only_launch_of(here):
         _remove_leftovers()
         _warn_without_key(fleet)
-        warn_each(text for text in (separate_maps(fleet.vehicles), idle_radio(fleet, vehicles)) if text)
+        warn_each(
+            text
+            for text in (separate_maps(fleet.vehicles), idle_radio(fleet, vehicles), _little_shared_memory(specs))
+            if text
+        )
         try:
             return supervisor.run([node_command(spec, log_level) for spec in specs])
         finally:
@@ -242,6 +247,15 @@ def _remove_leftovers() -> None:
     size_mb = removed.size_bytes / 1e6
     if size_mb >= 0.5:  # not "0 MB"
         say(f"{size_mb:.0f} MB of {FOLDER} that killed processes had left are free again")
+
+
+def _little_shared_memory(specs: Sequence[NodeSpec]) -> str:
+    """Return what to do about a computer, or a container, with little shared memory; normally empty."""
+    from uav_vslam.ros.fleet_commands import IN_SHARED_MEMORY
+    from uav_vslam.ros.shared_memory import lack_of_room
+    from uav_vslam.ros.transport import is_for_images
+
+    return lack_of_room(sum(spec.executable in IN_SHARED_MEMORY for spec in specs)) if is_for_images() else ""
 
 
 def _warn_without_key(fleet: FleetConfig) -> None:

@@ -15,6 +15,7 @@ from uav_vslam.errors import ConfigError
 from uav_vslam.ros.transport import PROFILES_FILE
 
 VEHICLE_NODES = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
+IN_SHARED_MEMORY = frozenset({"stereo_frontend", "fusion", "mapper", "replay"})  # unless they have another DDS profile
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ then takes another port.
 import fcntl
 import os
 import re
+import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
+SEGMENT_BYTES = 35_127_840  # of a participant with config/dds/images.xml
 SETTLED_S = 2.0  # a younger lock may be one that its process is about to take
 _FILE = re.compile(r"(?:sem\.)?(fastrtps_(?:[0-9a-f]{16}|port\d+))(?:_el|_sl|_mutex)?")
 
@@ -32,6 +34,17 @@ class Removed:
 
     names: tuple[str, ...] = ()
     size_bytes: int = 0
+
+
+def lack_of_room(participants: int, folder: Path = FOLDER) -> str:
+    """Return what to do about too little shared memory for so many participants; normally empty."""
+    needed, free = participants * SEGMENT_BYTES, shutil.disk_usage(folder).free if folder.is_dir() else 0
+    if free >= needed:
+        return ""
+    return (
+        f"{folder} has {free / 1e6:.0f} MB free, and the nodes use up to {needed / 1e6:.0f} MB there: without, images "
+        "go over UDP, which takes longer and loses some on a busy machine. Give it more (docker run --shm-size=1g)"
+    )
 
 
 def remove_leftovers(folder: Path = FOLDER) -> Removed:

@@ -16,16 +16,25 @@ PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 DISCOVERY_RANGE, STATIC_PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 
 
-def udp_alone() -> dict[str, str]:
-    """Return the variables for a process that sees its own host only; none if the user has chosen another profile.
+def is_for_images() -> bool:
+    """Whether the environment leaves this process the profile for images: the user has chosen no other.
 
     Raises:
         ConfigError: the profiles are not installed.
     """
     images = find_dds_profile("images.xml")
     chosen = Path(os.environ.get(PROFILES_FILE) or images)  # `env.sh` names that one, for programs that aren't ours
+    return chosen.resolve() == images.resolve()
+
+
+def udp_alone() -> dict[str, str]:
+    """Return the variables for a process that sees its own host only; none if the user has chosen another profile.
+
+    Raises:
+        ConfigError: the profiles are not installed.
+    """
     own_host_only = os.environ.get(DISCOVERY_RANGE) == "LOCALHOST" and not os.environ.get(STATIC_PEERS)
-    if not own_host_only or chosen.resolve() != images.resolve():
+    if not own_host_only or not is_for_images():
         return {}
     # The range is the profile's: LOCALHOST would add shared memory.
     return {PROFILES_FILE: str(find_dds_profile("messages.xml")), DISCOVERY_RANGE: "SYSTEM_DEFAULT"}
