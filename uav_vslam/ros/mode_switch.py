@@ -39,13 +39,13 @@ def switch_mode(node: Observer, vehicle: str, mode: str, *, wait_s: float) -> No
 
 def _call(node: Observer, vehicle: str, kind: Any, name: str, request: Any, wait_s: float) -> Any:
     service = f"/{vehicle}/fusion/{name}"
-    end_s = time.monotonic() + wait_s
     client = node.create_client(kind, service)
     try:
         if not node.spin_until(client.service_is_ready, wait_s):
             raise UavVslamError(
                 f"{service} is not there; is {vehicle} flying, on this domain, and not with --no-parameter-services?"
             )
+        end_s = time.monotonic() + wait_s
         while (left_s := end_s - time.monotonic()) > 0.0:
             answer = client.call_async(request)
             if node.spin_until(answer.done, min(ASK_AGAIN_S, left_s)):

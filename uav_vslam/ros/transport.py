@@ -34,7 +34,7 @@ def udp_alone() -> dict[str, str]:
         ConfigError: the profiles are not installed.
     """
     own_host_only = os.environ.get(DISCOVERY_RANGE) == "LOCALHOST" and not os.environ.get(STATIC_PEERS)
-    if not own_host_only or not is_for_images():
+    if not is_for_images() or not own_host_only:
         return {}
     # The range is the profile's: LOCALHOST would add shared memory.
     return {PROFILES_FILE: str(find_dds_profile("messages.xml")), DISCOVERY_RANGE: "SYSTEM_DEFAULT"}
