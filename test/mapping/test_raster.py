@@ -72,6 +72,17 @@ def test_a_grown_window_has_its_margin_aligned_edges_and_nothing_to_spare(margin
         assert margin <= first + size - (start + count) < margin + align
 
 
+@pytest.mark.parametrize("side", [8, 24, 80])
+def test_blocks_cover_a_window_once_with_aligned_edges(side: int) -> None:
+    window, align = WINDOW.grown(3, align=8), 8
+    count = np.zeros(window.shape, int)
+    for block in window.blocks(side, align=align):
+        assert max(block.shape) <= side
+        assert block.column % align == block.row % align == block.columns % align == block.rows % align == 0
+        count[block.within(window)] += 1
+    assert (count == 1).all()
+
+
 def test_tiles_cover_a_window_once_and_are_aligned_to_the_origin() -> None:
     count = np.zeros(WINDOW.shape, int)
     for tile in WINDOW.tiles(4):

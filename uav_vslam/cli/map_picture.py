@@ -66,13 +66,14 @@ def write_picture_and_model(
     with TemporaryDirectory(dir=folder, prefix="tiles_") as tiles:
         with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
             mosaic = blended_mosaic(views, surface, pixel_m, folder=Path(tiles), on_view=advance)
-            found = seams(mosaic, counted(views(), advance)).figures()
-        written = write_orthomosaic(mosaic, folder, datum)
-        model = write_model(surface, mosaic, folder, views=views(), cell_m=grid.cell_m)
+            picture = mosaic.picture()
+            found = seams(mosaic, picture, counted(views(), advance)).figures()
+        written = write_orthomosaic(mosaic, picture, folder, datum)
+        model = write_model(surface, picture, folder, views=views(), cell_m=grid.cell_m)
         shares = mosaic.shares()
     finite = {name: value for name, value in found.items() if np.isfinite(value)}
-    picture = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}
-    return {"orthomosaic": picture, "model": model, "shares": shares}
+    figures = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}
+    return {"orthomosaic": figures, "model": model, "shares": shares}
 
 
 def _key_frames(flights: list[MappedFlight], grid: HeightGrid) -> tuple[set[tuple[str, int]], bool]:

@@ -97,7 +97,7 @@ class FlownMap:
             raise UavVslamError("the parameter map.folder is empty; start the mapper with a folder to write to")
         tree = write_surface(self.grid, self.overlap, self.mapper, self.folder, self._frame)
         if self._drawn:
-            tree["orthomosaic"] = write_orthomosaic(self._drawn, self.folder)
+            tree["orthomosaic"] = write_orthomosaic(self._drawn, self._drawn.picture(), self.folder)
             write_json(self.folder / FIGURES, tree)
         return tree
 

@@ -121,3 +121,15 @@ class Raster:
         for row in range(self.row // side, (self.row + self.rows - 1) // side + 1):
             for column in range(self.column // side, (self.column + self.columns - 1) // side + 1):
                 yield Raster(self.cell_m, column * side, row * side, side, side)
+
+    def blocks(self, side: int, *, align: int) -> Iterator["Raster"]:
+        """Yield the fewest parts of at most `side` cells each way, about equal, of this window, which has some.
+
+        Args:
+            side: a multiple of `align`.
+            align: a divisor of the window's edges, and of those of the parts.
+        """
+        height, width = (math.ceil(cells / math.ceil(cells / side) / align) * align for cells in self.shape)
+        for row in range(self.row, self.row + self.rows, height):
+            for column in range(self.column, self.column + self.columns, width):
+                yield Raster(self.cell_m, column, row, width, height).intersection(self)

@@ -24,6 +24,8 @@ class TileStore(ABC, Generic[Tile]):
         touched: tiles handed out since the start.
     """
 
+    SUFFIX = ".npz"  # of the files
+
     def __init__(self, cell_m: float, folder: Path | None, *, most_tiles: int) -> None:
         """Start an empty store.
 
@@ -108,7 +110,7 @@ class TileStore(ABC, Generic[Tile]):
 
     def _path(self, key: Key) -> Path:
         assert self._folder is not None  # without a folder no tile leaves the memory
-        return self._folder / f"{key[0]}_{key[1]}.npz"
+        return self._folder / f"{key[0]}_{key[1]}{self.SUFFIX}"
 
 
 def _key(window: Raster) -> Key:

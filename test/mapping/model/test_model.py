@@ -57,7 +57,7 @@ def made(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path:
     mosaic = Orthomosaic(SCENE, 0.1)
     for view in views:
         mosaic.add(view)
-    written = write_model(SCENE, mosaic, folder, views=views, cell_m=0.5)
+    written = write_model(SCENE, mosaic.picture(), folder, views=views, cell_m=0.5)
     assert written["bytes"] == (folder / "model.glb").stat().st_size <= LARGEST_GLB_BYTES
     return folder
 
@@ -128,7 +128,7 @@ def test_the_model_of_a_map_in_utm_is_as_exact(made: Path, views: list[View], tm
     for view in views:
         moved = Pose(view.T_map_cam.R, view.T_map_cam.t + np.array([EAST, NORTH, 0.0]))
         mosaic.add(dataclasses.replace(view, T_map_cam=moved))
-    written = write_model(scene, mosaic, tmp_path, views=(), cell_m=0.5)
+    written = write_model(scene, mosaic.picture(), tmp_path, views=(), cell_m=0.5)
     near, far = (baked(folder / "model.glb")["ground"] for folder in (made, tmp_path))
     np.testing.assert_allclose(far.vertices - [EAST, 0.0, -NORTH], near.vertices, atol=1e-3)
     near, far = (trimesh.load(folder / "model.ply") for folder in (made, tmp_path))
@@ -185,4 +185,4 @@ def test_a_surface_that_is_not_known_under_the_mosaic_is_an_error(views: list[Vi
     mosaic = Orthomosaic(SCENE, 0.1)
     mosaic.add(views[0])
     with pytest.raises(UavVslamError, match="no height is known"):
-        write_model(Scene(lambda x, y: np.full_like(x, np.nan)), mosaic, tmp_path, views=(), cell_m=0.5)
+        write_model(Scene(lambda x, y: np.full_like(x, np.nan)), mosaic.picture(), tmp_path, views=(), cell_m=0.5)

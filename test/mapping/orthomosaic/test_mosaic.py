@@ -155,6 +155,33 @@ def test_tiles_in_files_make_the_same_picture_as_in_memory(tmp_path: Path) -> No
     np.testing.assert_array_equal(kept.picture().labels, filed.picture().labels)
 
 
+@pytest.mark.parametrize("scene", [PLAIN, HILLS])
+def test_a_view_that_is_drawn_in_blocks_makes_the_same_picture(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
+    pictures = []
+    for side in (4096, 96):
+        monkeypatch.setattr("uav_vslam.mapping.orthomosaic.mosaic.BLOCK_PX", side)
+        mosaic = Orthomosaic(scene, M_PER_PX)
+        for x in (0.0, 9.0, 18.0):
+            mosaic.add(scene.view((x, 0.0, 30.0), (2.0, -3.0, x)))
+        pictures.append(mosaic.picture())
+    whole, blocks = pictures
+    np.testing.assert_array_equal(whole.labels, blocks.labels)
+    difference = np.abs(whole.image.astype(int) - blocks.image)
+    assert (difference > 0).mean() < 0.01
+    inside = cv2.erode(whole.seen.astype(np.uint8), np.ones((5, 5))) > 0  # at the edge, what continues it differs
+    assert difference[inside].max() <= 1  # grey levels, by rounding
+
+
+def test_a_tile_that_is_cut_off_is_an_error_that_names_its_file(tmp_path: Path) -> None:
+    mosaic = Orthomosaic(PLAIN, M_PER_PX, folder=tmp_path, kept_bytes=0)
+    for view in ALONG:
+        mosaic.add(view)
+    tile = sorted(tmp_path.iterdir())[0]
+    tile.write_bytes(tile.read_bytes()[:1000])
+    with pytest.raises(UavVslamError, match=rf"{tile.name} of the mosaic has 1000 of \d+ bytes"):
+        mosaic.picture()
+
+
 def test_a_window_is_a_cut_of_the_whole_picture() -> None:
     mosaic = Orthomosaic(PLAIN, M_PER_PX)
     for view in ALONG:

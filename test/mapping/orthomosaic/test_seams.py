@@ -17,7 +17,7 @@ def test_a_wrong_pose_shows_as_the_shift_across_its_seam(error_m: float) -> None
     mosaic = Orthomosaic(SCENE, 0.1)
     for view in views:
         mosaic.add(view)
-    found = seams(mosaic, views)
+    found = seams(mosaic, mosaic.picture(), views)
     assert len(found.points) >= 3
     np.testing.assert_allclose(found.points[:, 0], 4.5, atol=0.5)
     np.testing.assert_allclose(found.shifts_px, np.tile([error_m / 0.1, 0.0], (len(found.points), 1)), atol=0.15)
@@ -28,6 +28,6 @@ def test_a_wrong_pose_shows_as_the_shift_across_its_seam(error_m: float) -> None
 def test_one_view_has_no_seam() -> None:
     mosaic = Orthomosaic(SCENE, 0.1)
     mosaic.add(VIEWS[0])
-    found = seams(mosaic, VIEWS)
+    found = seams(mosaic, mosaic.picture(), VIEWS)
     assert len(found.points) == 0
     assert np.isnan(found.figures()["median_px"])

@@ -23,7 +23,7 @@ from uav_vslam.mapping.georeference import naming
 from uav_vslam.mapping.model.triangles import Mesh, mesh_of, simplified
 from uav_vslam.mapping.model.walls import wall_colours
 from uav_vslam.mapping.orthomosaic.heights import Heights
-from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic, Picture
+from uav_vslam.mapping.orthomosaic.mosaic import Picture
 from uav_vslam.mapping.orthomosaic.pyramid import fill
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.view import View
@@ -42,13 +42,13 @@ Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.
 
 
 def write_model(
-    surface: Heights, mosaic: Orthomosaic, folder: Path, *, views: Iterable[View], cell_m: float
+    surface: Heights, picture: Picture, folder: Path, *, views: Iterable[View], cell_m: float
 ) -> dict[str, Any]:
     """Write `model.glb` and `model.ply`.
 
     Args:
         surface: heights in the map frame.
-        mosaic: of the same ground.
+        picture: of the same ground, the whole mosaic.
         folder: to write to.
         views: for the colours of walls; without any, these are a shade of what is above them.
         cell_m: side of a cell of the mesh [m].
@@ -57,9 +57,8 @@ def write_model(
         "triangles" and "bytes" of the GLB; where it is not zero "ply_origin_m" (x, y, z), to which the PLY is relative.
 
     Raises:
-        UavVslamError: the mosaic is empty, no height is known under it, or a file can't be written.
+        UavVslamError: no height is known under the picture, or a file can't be written.
     """
-    picture = mosaic.picture()
     raster = picture.raster.with_cells(cell_m)
     heights = np.where(_shown(picture, raster), surface.height(raster), np.float32(np.nan))
     mesh = mesh_of(heights, raster)

@@ -47,12 +47,12 @@ class Correction:
     def applied(self, image: Real, radius2: Real) -> Real:
         """Return the (rows, columns, channels) image corrected, given (rows, columns) r^2."""
         a, b = self.falloff.astype(np.float32)
+        gain = np.exp(self.log_gain).astype(np.float32)
         corrected = np.empty_like(image)
         for start in range(0, len(image), STRIP_ROWS):  # views are large
             rows = slice(start, start + STRIP_ROWS)
             fall = np.clip(a * radius2[rows] + b * radius2[rows] * radius2[rows], -1.0, 1.0)
-            gain = np.exp(self.log_gain.astype(np.float32) - fall[..., None])
-            np.multiply(image[rows], gain, out=corrected[rows])
+            np.multiply(image[rows], np.exp(-fall)[..., None] * gain, out=corrected[rows])
         return corrected
 
 

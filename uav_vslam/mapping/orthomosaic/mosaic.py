@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.orthomosaic.exposure import Correction, Exposure
 from uav_vslam.mapping.orthomosaic.heights import Heights
-from uav_vslam.mapping.orthomosaic.pyramid import ALIGN, LEVELS, MARGIN, at_level, put_together, take_apart
-from uav_vslam.mapping.orthomosaic.rectification import Rectified, rectify
+from uav_vslam.mapping.orthomosaic.pyramid import ALIGN, LEVELS, MARGIN, REACH, at_level, put_together, take_apart
+from uav_vslam.mapping.orthomosaic.rectification import Drawing, Rectified
 from uav_vslam.mapping.orthomosaic.thumbnail import thumbnail
 from uav_vslam.mapping.orthomosaic.tiles import UNSEEN, MosaicTiles
 from uav_vslam.mapping.raster import Raster
@@ -25,6 +25,7 @@ from uav_vslam.mapping.tile_store import KEPT_BYTES, SIDE
 from uav_vslam.mapping.view import View
 
 GAP_M = 0.6  # width of gaps across which what is around them continues
+BLOCK_PX = 1536  # side of what is taken apart at a time, at most: arrays over a view of 20 megapixels are 250 MB
 STRIP_TILES = 4  # tiles that are put together at a time
 
 
@@ -119,11 +120,15 @@ class Orthomosaic:
         """
         considered = self._considered
         self._considered += 1
-        drawn = rectify(view, self.surface, self.m_per_px, sharpness=sharpness, align=ALIGN, margin=MARGIN)
-        correction = None if drawn is None else self._correction(considered, view)
-        if drawn is None or correction is None:
+        drawing = Drawing.of(view, self.surface, self.m_per_px, sharpness=sharpness)
+        correction = None if drawing is None else self._correction(considered, view)
+        if drawing is None or correction is None:
             return
-        self._merge(replace(drawn, image=correction.applied(drawn.image, drawn.radius2)))
+        window = drawing.raster.grown(MARGIN, align=ALIGN)
+        for block in window.blocks(BLOCK_PX, align=ALIGN):
+            drawn = drawing.draw(block.grown(REACH, align=ALIGN).intersection(window))
+            if drawn.score.any():
+                self._merge(replace(drawn, image=correction.applied(drawn.image, drawn.radius2)), block)
         self.views.append(AddedView(view.vehicle, view.stamp_ns, correction))
 
     def picture(self, raster: Raster | None = None) -> Picture:
@@ -169,14 +174,14 @@ class Orthomosaic:
         thumb = thumbnail(view, self.surface, self.m_per_px)
         return None if thumb is None else self._exposure.add(thumb, view.vehicle)
 
-    def _merge(self, drawn: Rectified) -> None:
-        """Merge a drawn and corrected view into the tiles under it."""
+    def _merge(self, drawn: Rectified, block: Raster) -> None:
+        """Merge a block of a view, drawn with its surroundings and corrected, into the tiles under it."""
         if self._tiles is None:
             channels = drawn.image.shape[-1]
             self._tiles = MosaicTiles(self.m_per_px, channels, self._folder, kept_bytes=self._kept_bytes)
         bands = take_apart(drawn.image, drawn.score)
-        for raster in drawn.raster.tiles(SIDE):
-            common = raster.intersection(drawn.raster)
+        for raster in block.tiles(SIDE):
+            common = raster.intersection(block)
             tile = self.tiles.change(raster)
             tile.merge(len(self.views), bands, drawn.score, common.within(raster), common.within(drawn.raster))
 

@@ -10,18 +10,21 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.geodetic import Datum
 from uav_vslam.mapping.georeference import naming, write_picture
-from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic
+from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic, Picture
 
 LARGEST_PREVIEW_BYTES = 3_000_000
 PREVIEW_QUALITY = 85
 LONGEST_PREVIEW_PX = 6000
 
 
-def write_orthomosaic(mosaic: Orthomosaic, folder: Path, datum: Datum | None = None) -> dict[str, Any]:
+def write_orthomosaic(
+    mosaic: Orthomosaic, picture: Picture, folder: Path, datum: Datum | None = None
+) -> dict[str, Any]:
     """Write `orthomosaic.tif` (with a datum) or `.png` and `.pgw`, and a small `orthomosaic.jpg`.
 
     Args:
         mosaic: with at least one view.
+        picture: of all of it.
         folder: to write to.
         datum: of the map frame, if known.
 
@@ -29,9 +32,8 @@ def write_orthomosaic(mosaic: Orthomosaic, folder: Path, datum: Datum | None = N
         "m_per_px", "width", "height", and the number of "views" in the picture.
 
     Raises:
-        UavVslamError: the mosaic is empty, or a file can't be written.
+        UavVslamError: a file can't be written.
     """
-    picture = mosaic.picture()
     write_picture(folder / "orthomosaic", picture.image, picture.raster, datum, seen=picture.seen)
     preview = folder / "orthomosaic.jpg"
     with naming(preview):

@@ -16,8 +16,8 @@ Real = NDArray[np.float32]
 LEVELS = 5  # beside the finest
 ALIGN = 2**LEVELS
 MARGIN = 2 * ALIGN  # around what is seen: as far as the coarsest band reaches
+REACH = 3 * ALIGN  # of pixels on which a band may depend
 FILLED_WEIGHT = 1e-4  # of a band where the view sees nothing: enough to continue what it saw
-MIXED_POWER = 4  # with which a band's weight falls with the share of it that is not seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,8 @@ def take_apart(image: Real, score: Real) -> Bands:
     coefficients, weights = [], []
     seen = (score > 0).astype(np.float32)
     for level in range(LEVELS + 1):
-        weights.append(np.maximum(score * seen**MIXED_POWER, np.float32(FILLED_WEIGHT) * continued))
+        mixed = np.square(np.square(seen))  # falls fast with the share of a pixel that is not seen
+        weights.append(np.maximum(score * mixed, np.float32(FILLED_WEIGHT) * continued))
         if level == LEVELS:
             coefficients.append(filled)
             break

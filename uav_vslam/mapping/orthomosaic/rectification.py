@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A view as seen from straight above: its pixels drawn onto the surface, each with a score of how well it is seen."""
+"""A view as seen from straight above: its pixels drawn onto the surface, each with a score of how well it is seen.
+
+An array over a view of 20 megapixels is 100 MB, so a view is looked at coarsely first, and then drawn window by window.
+"""
 
 import functools
 from dataclasses import dataclass
@@ -9,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
-from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.mapping.orthomosaic.footprint import LARGEST_TANGENT, footprint
 from uav_vslam.mapping.orthomosaic.heights import Heights
 from uav_vslam.mapping.orthomosaic.visibility import visible
@@ -22,8 +24,12 @@ HALF_SCORE_TANGENT = 0.4  # of the angle from the vertical at which a spot count
 BORDER_SHARE = 0.06  # of the image, in which the score rises from its edge
 LEAST_SCORE = 0.01  # of what is seen at all
 OVERSAMPLING = 1.25  # pixels of the image, made smaller first, to one of the mosaic
+MOST_PX = 32_766  # along a side of a view
+TILE_PX = 512  # side of what is drawn at a time
+COARSE_CELL_M = 0.2  # of the look at the whole view, or less, where it has fewer cells along a side than
+LEAST_CELLS = 100
+FAR_OUTSIDE_PX = -1e6  # stands for a pixel that is not known
 BLACK, WHITE = 2.0, 250.0  # grey levels of the brightest channel beyond which an image is clipped
-MOST_PX = 32_766  # along a side of what OpenCV draws at once
 CLIPPED_PX = 33  # side of the surroundings whose clipped share counts, so that single pixels do not change the view
 
 
@@ -44,47 +50,115 @@ class Rectified:
     radius2: Real
 
 
-def rectify(
-    view: View, surface: Heights, m_per_px: float, *, sharpness: float = 1.0, align: int = 1, margin: int = 0
-) -> Rectified | None:
-    """Draw a view onto the surface; None where it sees nothing of it.
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """What a coarse look at a whole view shows.
 
-    Args:
-        view: the image, its camera and pose.
-        surface: heights in the map frame.
-        m_per_px: side of a pixel of the mosaic [m].
-        sharpness: factor of the score.
-        align: the window's edges are multiples of this many pixels.
-        margin: pixels around the footprint.
-
-    Raises:
-        UavVslamError: the pixels are too small to draw the view at once.
+    Attributes:
+        raster: its cells.
+        visible: (rows, columns) where nothing that stands is between the camera and the surface.
+        nearest_m, usual_m: smallest and median depth of what is seen [m].
     """
-    raster = footprint(view.camera, view.T_map_cam, surface, m_per_px)
-    if raster.columns == 0:
-        return None
-    raster = raster.grown(margin, align=align)
-    if (side := max(raster.shape)) > MOST_PX:
-        raise UavVslamError(
-            f"in pixels of {m_per_px:g} m a view of the orthomosaic is {side} pixels long, and {MOST_PX} can be drawn; "
-            f"use a --pixel of more than {m_per_px * side / MOST_PX:.2g} m"
+
+    raster: Raster
+    visible: NDArray[np.bool_]
+    nearest_m: float
+    usual_m: float
+
+    @staticmethod
+    def at(view: View, surface: Heights, raster: Raster) -> "_Look | None":
+        """Return the look with these cells; None where nothing of the surface is seen."""
+        heights = surface.height(raster)
+        u, v, depth, tangent2 = _seen_at(view, raster, heights)
+        unhidden = visible(raster, heights, view.T_map_cam.t)
+        depths = depth[(_score(view, u, v, depth, tangent2, nearest_m=1.0) > 0) & unhidden]
+        if len(depths) == 0:
+            return None
+        return _Look(raster, unhidden, float(depths.min()), float(np.median(depths)))
+
+    def visible_at(self, raster: Raster, stride: int) -> NDArray[np.bool_]:
+        """Return (rows, columns) of a window whose cells are smaller by this factor, as of the cells they lie in."""
+        rows = (raster.row + np.arange(raster.rows)) // stride - self.raster.row
+        columns = (raster.column + np.arange(raster.columns)) // stride - self.raster.column
+        rows, columns = np.clip(rows, 0, self.raster.rows - 1), np.clip(columns, 0, self.raster.columns - 1)
+        return np.asarray(self.visible[rows][:, columns])
+
+
+class Drawing:
+    """A view that can be drawn onto any window of the mosaic's grid.
+
+    Attributes:
+        raster: window of all that it sees.
+    """
+
+    def __init__(
+        self, view: View, surface: Heights, raster: Raster, look: _Look, *, stride: int, sharpness: float
+    ) -> None:
+        """See `of`."""
+        self.raster = raster
+        self._view, self._surface, self._look, self._stride = view, surface, look, stride
+        pixels = look.usual_m / view.camera.fx / raster.cell_m  # of the mosaic, under one of the image
+        self._factor = np.float32(sharpness * min(1.0, 1.0 / pixels))  # seen from higher up: coarser than the mosaic
+        self._source = view.image.astype(np.float32)
+        if (scale := pixels * OVERSAMPLING) < 1.0:
+            height, width = (max(1, round(side * scale)) for side in view.image.shape[:2])
+            self._source = cv2.resize(self._source, (width, height), interpolation=cv2.INTER_AREA)
+
+    @staticmethod
+    def of(view: View, surface: Heights, m_per_px: float, *, sharpness: float = 1.0) -> "Drawing | None":
+        """Look at the whole view; None where it sees nothing of the surface.
+
+        Args:
+            view: the image, its camera and pose.
+            surface: heights in the map frame.
+            m_per_px: side of a pixel of the mosaic [m].
+            sharpness: factor of the score.
+
+        Raises:
+            UavVslamError: the pixels are too small.
+        """
+        raster = footprint(view.camera, view.T_map_cam, surface, m_per_px)
+        if raster.columns == 0:
+            return None
+        if (side := max(raster.shape)) > MOST_PX:
+            raise UavVslamError(
+                f"in pixels of {m_per_px:g} m a view of the orthomosaic is {side} pixels long, and {MOST_PX} can be "
+                f"drawn; use a --pixel of more than {m_per_px * side / MOST_PX:.2g} m"
+            )
+        stride = max(1, min(round(COARSE_CELL_M / m_per_px), min(raster.shape) // LEAST_CELLS))
+        look = _Look.at(view, surface, raster.with_cells(stride * m_per_px))
+        return None if look is None else Drawing(view, surface, raster, look, stride=stride, sharpness=sharpness)
+
+    def draw(self, raster: Raster) -> Rectified:
+        """Return a window; up to half of `CLIPPED_PX` from its edge, the score does not count all that is clipped."""
+        channels = 1 if self._view.image.ndim == 2 else 3
+        image = np.empty((*raster.shape, channels), np.float32)
+        score, radius2 = (np.empty(raster.shape, np.float32) for _ in range(2))
+        for tile in raster.tiles(TILE_PX):
+            part = tile.intersection(raster)
+            at = part.within(raster)
+            image[at], score[at], radius2[at] = self._part(part)
+        score *= np.maximum(1.0 - _clipped_share(image), np.float32(LEAST_SCORE))
+        return Rectified(raster, image, score, radius2)
+
+    def _part(self, raster: Raster) -> tuple[Real, Real, Real]:
+        """Return image, score and squared radius of a window of which a dozen arrays are small."""
+        camera = self._view.camera
+        u, v, depth, tangent2 = _seen_at(self._view, raster, self._surface.height(raster))
+        score = _score(self._view, u, v, depth, tangent2, nearest_m=self._look.nearest_m)
+        score *= self._factor * self._look.visible_at(raster, self._stride)
+        radius2 = np.nan_to_num(((u - camera.cx) / camera.fx) ** 2 + ((v - camera.cy) / camera.fy) ** 2)
+        return self._image_at(u, v), score, radius2
+
+    def _image_at(self, u: Real, v: Real) -> Real:
+        """Return (rows, columns, channels) at pixels u, v, with what is finer than the mosaic averaged out."""
+        scale_v, scale_u = (a / b for a, b in zip(self._source.shape, self._view.image.shape[:2], strict=False))
+        map_u, map_v = (
+            (np.nan_to_num(at, nan=FAR_OUTSIDE_PX) + np.float32(0.5)) * np.float32(scale) - np.float32(0.5)
+            for at, scale in ((u, scale_u), (v, scale_v))
         )
-    heights = surface.height(raster)
-    u, v, depth, tangent2 = _seen_at(view, raster, heights)
-    score = _score(view.camera, u, v, depth, tangent2) * np.float32(sharpness)
-    score *= visible(raster, heights, view.T_map_cam.t)
-    if view.opaque is not None:
-        at = (np.nan_to_num(one, nan=-1.0) for one in (u, v))
-        score *= cv2.remap(view.opaque.astype(np.float32), *at, cv2.INTER_NEAREST)
-    if not score.any():
-        return None
-    ground_m_per_px = float(np.median(depth[score > 0])) / view.camera.fx
-    score *= np.float32(min(1.0, m_per_px / ground_m_per_px))  # from higher up, or smaller: coarser than the mosaic
-    del depth, tangent2, heights  # each is as large as a channel of the image
-    image = _drawn(view.image, u, v, ground_m_per_px * OVERSAMPLING / m_per_px)
-    score *= np.maximum(1.0 - _clipped_share(image), np.float32(LEAST_SCORE))
-    radius2 = ((u - view.camera.cx) / view.camera.fx) ** 2 + ((v - view.camera.cy) / view.camera.fy) ** 2
-    return Rectified(raster, image, score, np.nan_to_num(radius2.astype(np.float32)))
+        drawn = cv2.remap(self._source, map_u, map_v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(drawn.reshape(*u.shape, -1))
 
 
 def _clipped_share(image: Real) -> Real:
@@ -118,27 +192,17 @@ def _seen_at(view: View, raster: Raster, heights: Real) -> tuple[Real, Real, Rea
     return u, v, z, tangent2
 
 
-def _score(camera: PinholeCamera, u: Real, v: Real, depth: Real, tangent2: Real) -> Real:
+def _score(view: View, u: Real, v: Real, depth: Real, tangent2: Real, *, nearest_m: float) -> Real:
     """Return (rows, columns) scores in [0, 1]: best straight below, low at the image's edge, 0 outside."""
+    camera = view.camera
     edge_u = np.minimum(u, camera.width - 1 - u) / np.float32(BORDER_SHARE * camera.width)
     edge_v = np.minimum(v, camera.height - 1 - v) / np.float32(BORDER_SHARE * camera.height)
-    edge = np.minimum(np.minimum(edge_u, edge_v), 1.0)
+    edge = np.minimum(np.minimum(edge_u, edge_v), np.float32(1.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         inside = (edge >= 0) & (tangent2 <= LARGEST_TANGENT**2)
-        nearest = np.nanmin(np.where(inside, depth, np.inf), initial=np.inf)
-        resolution = nearest / depth
-        score = edge * resolution / (1.0 + tangent2 / HALF_SCORE_TANGENT**2)
-    return np.where(inside, np.maximum(score, LEAST_SCORE), 0.0).astype(np.float32)
-
-
-def _drawn(image: Image, u: Real, v: Real, scale: float) -> Real:
-    """Return the image at (rows, columns) pixels u, v, with what is finer than the mosaic averaged out."""
-    source, scale_u, scale_v = image.astype(np.float32), 1.0, 1.0
-    if scale < 1.0:
-        size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
-        scale_u, scale_v = size[0] / image.shape[1], size[1] / image.shape[0]
-        source = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
-    map_u = (np.nan_to_num(u, nan=-1e6) + 0.5) * np.float32(scale_u) - np.float32(0.5)
-    map_v = (np.nan_to_num(v, nan=-1e6) + 0.5) * np.float32(scale_v) - np.float32(0.5)
-    drawn = cv2.remap(source, map_u, map_v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(drawn.reshape(*u.shape, -1))
+        score = edge * (np.float32(nearest_m) / depth) / (1.0 + tangent2 / np.float32(HALF_SCORE_TANGENT**2))
+    score = np.where(inside, np.maximum(score, np.float32(LEAST_SCORE)), np.float32(0.0))
+    if view.opaque is not None:
+        at = (np.nan_to_num(one, nan=FAR_OUTSIDE_PX) for one in (u, v))
+        score *= cv2.remap(view.opaque.astype(np.float32), *at, cv2.INTER_NEAREST)
+    return score

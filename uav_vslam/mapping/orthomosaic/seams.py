@@ -12,8 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic
-from uav_vslam.mapping.orthomosaic.rectification import Rectified, rectify
+from uav_vslam.mapping.orthomosaic.exposure import Correction
+from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic, Picture
+from uav_vslam.mapping.orthomosaic.rectification import Drawing
+from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.view import View
 from uav_vslam.vision.patch_shift import patch_shift
 
@@ -61,31 +63,32 @@ class _Place:
     views: tuple[int, int]
 
 
-def seams(mosaic: Orthomosaic, views: Iterable[View]) -> Seams:
+def seams(mosaic: Orthomosaic, picture: Picture, views: Iterable[View]) -> Seams:
     """Measure the seams of a mosaic.
 
     Args:
         mosaic: all of its views added.
+        picture: of all of it.
         views: the same views again; those that it has not are passed over.
     """
-    places = _places(mosaic)
+    places = _places(picture)
     numbers = {(view.vehicle, view.stamp_ns): number for number, view in enumerate(mosaic.views)}
     patches: dict[tuple[_Place, int], Real] = {}
     for view in views:
         number = numbers.get((view.vehicle, view.stamp_ns))
         own = [place for place in places if number in place.views]
-        drawn = rectify(view, mosaic.surface, mosaic.m_per_px) if own else None
-        if number is None or drawn is None:
+        drawing = Drawing.of(view, mosaic.surface, mosaic.m_per_px) if own else None
+        if number is None or drawing is None:
             continue
-        corrected = mosaic.views[number].correction.applied(drawn.image, drawn.radius2)
-        image = corrected[..., 0] if corrected.shape[2] == 1 else cv2.cvtColor(corrected, cv2.COLOR_BGR2GRAY)
-        patches |= {(place, number): cut for place in own if (cut := _patch(image, drawn, place)) is not None}
+        correction = mosaic.views[number].correction
+        patches |= {
+            (place, number): patch for place in own if (patch := _patch(drawing, correction, place)) is not None
+        }
     return _compared(places, patches, mosaic.m_per_px)
 
 
-def _places(mosaic: Orthomosaic) -> list[_Place]:
+def _places(picture: Picture) -> list[_Place]:
     """Return places along the seams between each two views, evenly."""
-    picture = mosaic.picture()
     found: dict[tuple[int, int], list[tuple[int, int]]] = {}
     labels = picture.labels
     for one, other in ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:])):
@@ -103,13 +106,14 @@ def _places(mosaic: Orthomosaic) -> list[_Place]:
     return places
 
 
-def _patch(image: Real, drawn: Rectified, place: _Place) -> Real | None:
-    """Return the (PATCH_PX, PATCH_PX) surroundings of a place; None if the view does not see all of them."""
-    row, column = place.row - drawn.raster.row - PATCH_PX // 2, place.column - drawn.raster.column - PATCH_PX // 2
-    cut = np.s_[row : row + PATCH_PX, column : column + PATCH_PX]
-    if min(row, column) < 0 or drawn.score[cut].shape != (PATCH_PX, PATCH_PX) or not (drawn.score[cut] > 0).all():
+def _patch(drawing: Drawing, correction: Correction, place: _Place) -> Real | None:
+    """Return the (PATCH_PX, PATCH_PX) grey surroundings of a place; None if the view does not see all of them."""
+    west, south = place.column - PATCH_PX // 2, place.row - PATCH_PX // 2
+    drawn = drawing.draw(Raster(drawing.raster.cell_m, west, south, PATCH_PX, PATCH_PX))
+    if not (drawn.score > 0).all():
         return None
-    return np.ascontiguousarray(image[cut])
+    corrected = correction.applied(drawn.image, drawn.radius2)
+    return corrected[..., 0] if corrected.shape[2] == 1 else cv2.cvtColor(corrected, cv2.COLOR_BGR2GRAY)
 
 
 def _compared(places: list[_Place], patches: dict[tuple[_Place, int], Real], m_per_px: float) -> Seams:

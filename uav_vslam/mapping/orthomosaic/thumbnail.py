@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 
 from uav_vslam.mapping.orthomosaic.heights import Heights
-from uav_vslam.mapping.orthomosaic.rectification import Rectified, rectify
+from uav_vslam.mapping.orthomosaic.rectification import Drawing, Rectified
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.view import View
 
@@ -21,10 +21,11 @@ def thumbnail(view: View, surface: Heights, m_per_px: float) -> Rectified | None
         surface: heights in the map frame.
         m_per_px: side of a pixel of the mosaic [m].
     """
-    drawn = rectify(view, surface, DRAWN_PX * m_per_px, align=CELL_PX, margin=CELL_PX)
-    if drawn is None:
+    drawing = Drawing.of(view, surface, DRAWN_PX * m_per_px)
+    if drawing is None:
         return None
-    fine = drawn.raster
+    fine = drawing.raster.grown(CELL_PX, align=CELL_PX)
+    drawn = drawing.draw(fine)
     cell_m = fine.cell_m * CELL_PX
     raster = Raster(cell_m, *(n // CELL_PX for n in (fine.column, fine.row, fine.columns, fine.rows)))
     size = raster.columns, raster.rows

@@ -8,6 +8,7 @@ the coarse bands too.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +51,14 @@ class Tile:
         )
 
     @property
+    def arrays(self) -> "tuple[NDArray[Any], ...]":
+        """All that it holds."""
+        return self.labels, *self.bands, *self.weights
+
+    @property
     def nbytes(self) -> int:
-        """Size in memory."""
-        return self.labels.nbytes + sum(a.nbytes for a in (*self.bands, *self.weights))
+        """Size in memory, and of its file."""
+        return sum(array.nbytes for array in self.arrays)
 
     def merge(self, view: int, bands: Bands, score: Real, at: tuple[slice, slice], cut: tuple[slice, slice]) -> None:
         """Add a view in place.
@@ -70,6 +76,8 @@ class Tile:
             own_weight, own = self.weights[level][here], self.bands[level][here]
             if level < BEST_LEVELS:
                 better = weight > own_weight
+                if not better.any():
+                    continue
                 if level == 0:
                     np.copyto(self.labels[here], view, where=better & seen)
                 np.copyto(own_weight, weight, where=better)
@@ -88,7 +96,9 @@ class Tile:
 
 
 class MosaicTiles(TileStore[Tile]):
-    """Tiles of a picture."""
+    """Tiles of a picture; a file holds a tile's arrays one after the other."""
+
+    SUFFIX = ".bin"
 
     def __init__(self, m_per_px: float, channels: int, folder: Path | None, *, kept_bytes: int) -> None:
         """Prepare an empty store.
@@ -106,16 +116,17 @@ class MosaicTiles(TileStore[Tile]):
         return Tile.empty(self.channels)
 
     def _write(self, tile: Tile, path: Path) -> None:
-        arrays = {f"band_{level}": band for level, band in enumerate(tile.bands)}
-        arrays |= {f"weight_{level}": weight for level, weight in enumerate(tile.weights)}
-        np.savez(path, labels=tile.labels, **arrays)  # type: ignore[arg-type]
+        with path.open("wb") as file:  # a third of the time of numpy.savez, which matters with large views
+            for array in tile.arrays:
+                array.tofile(file)
 
     def _read(self, path: Path) -> Tile:
+        tile = self._empty()
         try:
-            with np.load(path) as arrays:
-                levels = range(LEVELS + 1)
-                return Tile(
-                    arrays["labels"], [arrays[f"band_{i}"] for i in levels], [arrays[f"weight_{i}"] for i in levels]
-                )
-        except (OSError, ValueError, KeyError) as error:
+            with path.open("rb") as file:
+                read = sum(file.readinto(array.data) for array in tile.arrays)
+        except OSError as error:
             raise UavVslamError(f"tile {path} of the mosaic can't be read ({error}); make the map again") from error
+        if read != tile.nbytes:
+            raise UavVslamError(f"tile {path} of the mosaic has {read} of {tile.nbytes} bytes; make the map again")
+        return tile

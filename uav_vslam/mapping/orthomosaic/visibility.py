@@ -15,26 +15,22 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 TOLERANCE_M = 0.3  # by which something must stick out over the ray, above the noise of heights
-WALK_CELL_M = 0.2  # about the length of a step
+RIM_CELLS = 5  # side of what a hidden cell hides with it
 
 
 def visible(raster: Raster, heights: NDArray[np.float32], camera_position: Array) -> Mask:
     """Return (rows, columns): whether the camera sees the centre of each cell.
 
     Args:
-        raster: the cells.
+        raster: the cells; a step is as long as one.
         heights: (rows, columns) of the surface [m]; NaN hides nothing and counts as visible.
         camera_position: (3,) in the map frame [m].
     """
-    stride = max(1, round(WALK_CELL_M / raster.cell_m))
-    coarse = np.ascontiguousarray(heights[stride // 2 :: stride, stride // 2 :: stride])
-    if coarse.size == 0 or not np.isfinite(coarse).any():
+    if not np.isfinite(heights).any():
         return np.ones(raster.shape, bool)
-    x = raster.x[stride // 2 :: stride] - camera_position[0]
-    y = raster.y[stride // 2 :: stride] - camera_position[1]
-    hidden = _hidden(coarse, x, y, float(camera_position[2]), stride * raster.cell_m)
-    hidden = cv2.dilate(hidden.astype(np.uint8), np.ones((5, 5), np.uint8))  # the rim, too
-    return np.asarray(cv2.resize(hidden, raster.shape[::-1], interpolation=cv2.INTER_NEAREST) == 0)
+    x, y = raster.x - camera_position[0], raster.y - camera_position[1]
+    hidden = _hidden(heights, x, y, float(camera_position[2]), raster.cell_m).astype(np.uint8)
+    return np.asarray(cv2.dilate(hidden, np.ones((RIM_CELLS, RIM_CELLS), np.uint8)) == 0)
 
 
 def _hidden(heights: NDArray[np.float32], x: Array, y: Array, camera_height_m: float, step_m: float) -> Mask:

@@ -45,8 +45,9 @@ def draw(
     datum = found.placement.datum
     with TemporaryDirectory(dir=folder, prefix="tiles_") as tiles:
         mosaic = blended_mosaic(lambda: iter(views), found.surface, pixel_m, folder=Path(tiles), on_view=on_view)
-        drawn = write_orthomosaic(mosaic, folder, datum)
-        seam = seam_figures(seams(mosaic, counted(views, on_view)))
+        picture = mosaic.picture()
+        drawn = write_orthomosaic(mosaic, picture, folder, datum)
+        seam = seam_figures(seams(mosaic, picture, counted(views, on_view)))
     heights = np.where(counts > 0, found.surface.grid, np.nan)
     write_bands(folder / "height.tif", {"height": heights}, found.surface.raster, datum)
     size = {key: drawn[key] for key in ("m_per_px", "width", "height")}

@@ -84,7 +84,8 @@ def _orthomosaic(job: Job, ground: Ground, flights: Sequence[KeptFlight], kind: 
     picture = mosaic.picture()
     start = keys[0].T_map_cam.t
     errors = displacements(picture.image, picture.seen, picture.raster, ground.grey, (start[0], start[1]))
-    return Measured(f"{ORTHOMOSAIC}, {POSES[kind]}", condition, job.seed, errors, seams(mosaic, keys), len(keys), ms)
+    seam = seams(mosaic, picture, keys)
+    return Measured(f"{ORTHOMOSAIC}, {POSES[kind]}", condition, job.seed, errors, seam, len(keys), ms)
 
 
 def _key_frames(flights: Sequence[KeptFlight], kind: str) -> list[View]:
