@@ -123,7 +123,7 @@ class Raster:
                 yield Raster(self.cell_m, column * side, row * side, side, side)
 
     def blocks(self, side: int, *, align: int) -> Iterator["Raster"]:
-        """Yield the fewest parts of at most `side` cells each way, about equal, of this window, which has some.
+        """Yield the fewest parts of at most `side` cells each way, about equal, of this window, which is not empty.
 
         Args:
             side: a multiple of `align`.

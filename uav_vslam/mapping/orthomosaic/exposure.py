@@ -29,7 +29,6 @@ SIGMA_CELL_LOG = 0.05
 DARK, BRIGHT = 8.0, 247.0  # grey levels between which a camera is taken for linear
 FALLOFF_SIGMA = 1.0  # prior of a and b
 SOLVE_ROUNDS = 3
-STRIP_ROWS = 256  # of an image that are corrected at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +46,9 @@ class Correction:
     def applied(self, image: Real, radius2: Real) -> Real:
         """Return the (rows, columns, channels) image corrected, given (rows, columns) r^2."""
         a, b = self.falloff.astype(np.float32)
-        gain = np.exp(self.log_gain).astype(np.float32)
-        corrected = np.empty_like(image)
-        for start in range(0, len(image), STRIP_ROWS):  # views are large
-            rows = slice(start, start + STRIP_ROWS)
-            fall = np.clip(a * radius2[rows] + b * radius2[rows] * radius2[rows], -1.0, 1.0)
-            np.multiply(image[rows], np.exp(-fall)[..., None] * gain, out=corrected[rows])
+        fall = np.clip(a * radius2 + b * radius2 * radius2, -1.0, 1.0)
+        corrected = image * np.exp(self.log_gain).astype(np.float32)
+        corrected *= np.exp(-fall)[..., None]
         return corrected
 
 

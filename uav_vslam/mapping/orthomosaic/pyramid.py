@@ -16,7 +16,7 @@ Real = NDArray[np.float32]
 LEVELS = 5  # beside the finest
 ALIGN = 2**LEVELS
 MARGIN = 2 * ALIGN  # around what is seen: as far as the coarsest band reaches
-REACH = 3 * ALIGN  # of pixels on which a band may depend
+REACH = 3 * ALIGN  # around a pixel, of those that its bands depend on
 FILLED_WEIGHT = 1e-4  # of a band where the view sees nothing: enough to continue what it saw
 
 

@@ -76,8 +76,9 @@ class _Look:
             return None
         return _Look(raster, unhidden, float(depths.min()), float(np.median(depths)))
 
-    def visible_at(self, raster: Raster, stride: int) -> NDArray[np.bool_]:
-        """Return (rows, columns) of a window whose cells are smaller by this factor, as of the cells they lie in."""
+    def visible_at(self, raster: Raster) -> NDArray[np.bool_]:
+        """Return (rows, columns) of a window, a whole number of whose cells make one of these each way."""
+        stride = round(self.raster.cell_m / raster.cell_m)
         rows = (raster.row + np.arange(raster.rows)) // stride - self.raster.row
         columns = (raster.column + np.arange(raster.columns)) // stride - self.raster.column
         rows, columns = np.clip(rows, 0, self.raster.rows - 1), np.clip(columns, 0, self.raster.columns - 1)
@@ -91,12 +92,10 @@ class Drawing:
         raster: window of all that it sees.
     """
 
-    def __init__(
-        self, view: View, surface: Heights, raster: Raster, look: _Look, *, stride: int, sharpness: float
-    ) -> None:
+    def __init__(self, view: View, surface: Heights, raster: Raster, look: _Look, *, sharpness: float) -> None:
         """See `of`."""
         self.raster = raster
-        self._view, self._surface, self._look, self._stride = view, surface, look, stride
+        self._view, self._surface, self._look = view, surface, look
         pixels = look.usual_m / view.camera.fx / raster.cell_m  # of the mosaic, under one of the image
         self._factor = np.float32(sharpness * min(1.0, 1.0 / pixels))  # seen from higher up: coarser than the mosaic
         self._source = view.image.astype(np.float32)
@@ -127,7 +126,7 @@ class Drawing:
             )
         stride = max(1, min(round(COARSE_CELL_M / m_per_px), min(raster.shape) // LEAST_CELLS))
         look = _Look.at(view, surface, raster.with_cells(stride * m_per_px))
-        return None if look is None else Drawing(view, surface, raster, look, stride=stride, sharpness=sharpness)
+        return None if look is None else Drawing(view, surface, raster, look, sharpness=sharpness)
 
     def draw(self, raster: Raster) -> Rectified:
         """Return a window; up to half of `CLIPPED_PX` from its edge, the score does not count all that is clipped."""
@@ -146,7 +145,7 @@ class Drawing:
         camera = self._view.camera
         u, v, depth, tangent2 = _seen_at(self._view, raster, self._surface.height(raster))
         score = _score(self._view, u, v, depth, tangent2, nearest_m=self._look.nearest_m)
-        score *= self._factor * self._look.visible_at(raster, self._stride)
+        score *= self._factor * self._look.visible_at(raster)
         radius2 = np.nan_to_num(((u - camera.cx) / camera.fx) ** 2 + ((v - camera.cy) / camera.fy) ** 2)
         return self._image_at(u, v), score, radius2
 

@@ -51,7 +51,7 @@ class Tile:
         )
 
     @property
-    def arrays(self) -> "tuple[NDArray[Any], ...]":
+    def arrays(self) -> tuple[NDArray[Any], ...]:
         """All that it holds."""
         return self.labels, *self.bands, *self.weights
 
