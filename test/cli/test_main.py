@@ -46,6 +46,14 @@ def handlers() -> Iterator[Handlers]:
         signal.signal(number, handler)
 
 
+def test_the_interpreter_runs_the_command_as_a_module(tmp_path: Path) -> None:
+    command_line = [sys.executable, "-m", "uav_vslam", "evaluate", str(tmp_path / "nowhere")]
+    ended = subprocess.run(command_line, capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("uav-vslam: ")
+    assert "nowhere" in ended.stderr
+
+
 def test_the_verbs_exit_code_is_the_commands(install: Install) -> None:
     install(lambda args: args.times)
     assert command.main(["bench", "--times", "3"]) == 3
