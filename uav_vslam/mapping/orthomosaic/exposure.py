@@ -10,6 +10,7 @@ together (`solve`), as in [brown07]. A weak pull towards the view's own brightne
 from collections import defaultdict
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,10 +47,9 @@ class Correction:
     def applied(self, image: Real, radius2: Real) -> Real:
         """Return the (rows, columns, channels) image corrected, given (rows, columns) r^2."""
         a, b = self.falloff.astype(np.float32)
-        fall = np.clip(a * radius2 + b * radius2 * radius2, -1.0, 1.0)
-        corrected = image * np.exp(self.log_gain).astype(np.float32)
-        corrected *= np.exp(-fall)[..., None]
-        return corrected
+        rise = np.exp(-np.clip(a * radius2 + b * radius2 * radius2, -1.0, 1.0))
+        factors = cv2.merge([gain * rise for gain in np.exp(self.log_gain).astype(np.float32)])
+        return np.asarray(image * factors.reshape(image.shape))
 
 
 @dataclass(frozen=True, slots=True)

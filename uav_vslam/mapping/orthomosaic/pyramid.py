@@ -76,10 +76,8 @@ def fill(image: Real, known: NDArray[np.bool_]) -> Real:
     """Continue an (H, W, C) image smoothly where it is not known (H, W), from means over ever larger surroundings."""
     if known.all():
         return image
-    weight, filled = known.astype(np.float32), np.empty_like(image)
-    for k in range(image.shape[-1]):  # one by one: views are large
-        filled[..., k] = _filled(np.where(known, image[..., k], np.float32(0.0))[..., None], weight)[..., 0]
-    return filled
+    seen = cv2.copyTo(image, known.view(np.uint8)).reshape(image.shape)
+    return _filled(seen, known.astype(np.float32))
 
 
 def _filled(weighted: Real, weight: Real) -> Real:
@@ -87,18 +85,20 @@ def _filled(weighted: Real, weight: Real) -> Real:
         mean = weighted.sum(axis=(0, 1)) / np.maximum(weight.sum(), np.float32(1e-12))
         known = np.minimum(weight, 1.0)[..., None]
         return np.asarray(weighted + (1.0 - known) * mean, dtype=np.float32)
-    coarse_weight = cv2.pyrDown(weight)
-    coarse = _down(weighted)
-    normal = np.where(coarse_weight > 1e-3, 1.0 / np.maximum(coarse_weight, 1e-3), 0.0)
+    coarse_weight, coarse = cv2.pyrDown(weight), _down(weighted)
     known = (coarse_weight > 1e-3).astype(np.float32)
-    coarse *= normal[..., None]
+    _scale(coarse, known / np.maximum(coarse_weight, np.float32(1e-3)))
     behind = _filled(coarse, known)
-    del coarse
     size = weight.shape[1], weight.shape[0]
     enlarged = np.asarray(cv2.pyrUp(behind, dstsize=size), np.float32).reshape(weighted.shape)
-    enlarged *= 1.0 - weight[..., None]
+    _scale(enlarged, 1.0 - weight)
     enlarged += weighted
     return enlarged
+
+
+def _scale(image: Real, factor: Real) -> None:
+    """Multiply (H, W, C) by (H, W) in place; numpy takes twice as long over so short a last axis."""
+    cv2.multiply(image, cv2.merge([factor] * image.shape[-1]), dst=image)
 
 
 def _down(image: Real) -> Real:

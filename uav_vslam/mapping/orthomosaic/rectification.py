@@ -4,7 +4,6 @@
 An array over a view of 20 megapixels is 100 MB, so a view is looked at coarsely first, and then drawn window by window.
 """
 
-import functools
 from dataclasses import dataclass
 
 import cv2
@@ -29,7 +28,7 @@ TILE_PX = 512  # side of what is drawn at a time
 COARSE_CELL_M = 0.2  # of the look at the whole view, or less, where it has fewer cells along a side than
 LEAST_CELLS = 100
 FAR_OUTSIDE_PX = -1e6  # stands for a pixel that is not known
-BLACK, WHITE = 2.0, 250.0  # grey levels of the brightest channel beyond which an image is clipped
+BLACK, UNCLIPPED, WHITE = 2.0, 128.0, 250.0  # grey levels of the brightest channel: clipped up to BLACK, above WHITE
 CLIPPED_PX = 33  # side of the surroundings whose clipped share counts, so that single pixels do not change the view
 
 
@@ -47,6 +46,24 @@ class Rectified:
     raster: Raster
     image: Real
     score: Real
+    radius2: Real
+
+
+@dataclass(frozen=True, slots=True)
+class _Sight:
+    """How the cells of a window are seen, each attribute (rows, columns) float32.
+
+    Attributes:
+        u, v: pixels; `FAR_OUTSIDE_PX` where the height is not known.
+        depth: [m], NaN there.
+        tangent2: squared tangent of the angle from the vertical; NaN there, and behind or below the camera.
+        radius2: squared distance from the principal point over the focal length; 0 there.
+    """
+
+    u: Real
+    v: Real
+    depth: Real
+    tangent2: Real
     radius2: Real
 
 
@@ -69,9 +86,9 @@ class _Look:
     def at(view: View, surface: Heights, raster: Raster) -> "_Look | None":
         """Return the look with these cells; None where nothing of the surface is seen."""
         heights = surface.height(raster)
-        u, v, depth, tangent2 = _seen_at(view, raster, heights)
+        sight = _sight(view, raster, heights)
         unhidden = visible(raster, heights, view.T_map_cam.t)
-        depths = depth[(_score(view, u, v, depth, tangent2, nearest_m=1.0) > 0) & unhidden]
+        depths = sight.depth[(_score(view, sight, nearest_m=1.0) > 0) & unhidden]
         if len(depths) == 0:
             return None
         return _Look(raster, unhidden, float(depths.min()), float(np.median(depths)))
@@ -142,18 +159,17 @@ class Drawing:
 
     def _part(self, raster: Raster) -> tuple[Real, Real, Real]:
         """Return image, score and squared radius of a window of which a dozen arrays are small."""
-        camera = self._view.camera
-        u, v, depth, tangent2 = _seen_at(self._view, raster, self._surface.height(raster))
-        score = _score(self._view, u, v, depth, tangent2, nearest_m=self._look.nearest_m)
+        sight = _sight(self._view, raster, self._surface.height(raster))
+        score = _score(self._view, sight, nearest_m=self._look.nearest_m)
         score *= self._factor * self._look.visible_at(raster)
-        radius2 = np.nan_to_num(((u - camera.cx) / camera.fx) ** 2 + ((v - camera.cy) / camera.fy) ** 2)
-        return self._image_at(u, v), score, radius2
+        image = self._image_at(sight.u, sight.v) if score.any() else np.full((1, 1, 1), UNCLIPPED, np.float32)
+        return image, score, sight.radius2
 
     def _image_at(self, u: Real, v: Real) -> Real:
         """Return (rows, columns, channels) at pixels u, v, with what is finer than the mosaic averaged out."""
         scale_v, scale_u = (a / b for a, b in zip(self._source.shape, self._view.image.shape[:2], strict=False))
         map_u, map_v = (
-            (np.nan_to_num(at, nan=FAR_OUTSIDE_PX) + np.float32(0.5)) * np.float32(scale) - np.float32(0.5)
+            at if scale == 1.0 else (at + np.float32(0.5)) * np.float32(scale) - np.float32(0.5)
             for at, scale in ((u, scale_u), (v, scale_v))
         )
         drawn = cv2.remap(self._source, map_u, map_v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -162,9 +178,9 @@ class Drawing:
 
 def _clipped_share(image: Real) -> Real:
     """Return the (rows, columns) share of the surroundings that are over- or underexposed, and show no detail."""
-    brightest = functools.reduce(np.maximum, np.moveaxis(image, -1, 0))  # four times as fast as image.max(axis=-1)
-    clipped = ((brightest >= WHITE) | (brightest <= BLACK)).astype(np.float32)
-    return np.asarray(cv2.blur(clipped, (CLIPPED_PX, CLIPPED_PX)))
+    below_white, black = (cv2.inRange(image, (-np.inf,) * 4, (most,) * 4) for most in (WHITE, BLACK))
+    clipped = cv2.boxFilter(~below_white | black, cv2.CV_32F, (CLIPPED_PX, CLIPPED_PX))
+    return np.asarray(clipped / np.float32(255.0))
 
 
 def sharpness_of(image: Image) -> float:
@@ -174,8 +190,7 @@ def sharpness_of(image: Image) -> float:
     return float(np.std(cv2.Laplacian(half, cv2.CV_32F)) / max(float(np.std(half)), 1e-6))
 
 
-def _seen_at(view: View, raster: Raster, heights: Real) -> tuple[Real, Real, Real, Real]:
-    """Return each cell's pixel u, v, depth [m] and squared tangent of the angle from the vertical; NaN if unknown."""
+def _sight(view: View, raster: Raster, heights: Real) -> _Sight:
     dx = (raster.x - view.T_map_cam.t[0]).astype(np.float32)
     dy = (raster.y - view.T_map_cam.t[1]).astype(np.float32)[:, None]
     dz = heights - np.float32(view.T_map_cam.t[2])
@@ -184,24 +199,27 @@ def _seen_at(view: View, raster: Raster, heights: Real) -> tuple[Real, Real, Rea
     )  # axes of the camera in the map
     camera = view.camera
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = np.float32(camera.fx) * x / z + np.float32(camera.cx)
-        v = np.float32(camera.fy) * y / z + np.float32(camera.cy)
+        x /= z
+        y /= z
         tangent2 = (dx * dx + dy * dy) / (dz * dz)
     tangent2[~((z > 0) & (dz < 0))] = np.nan
-    return u, v, z, tangent2
+    u, v = np.float32(camera.fx) * x + np.float32(camera.cx), np.float32(camera.fy) * y + np.float32(camera.cy)
+    radius2 = x * x + y * y
+    for pixels, unknown in ((u, FAR_OUTSIDE_PX), (v, FAR_OUTSIDE_PX), (radius2, 0.0)):
+        cv2.patchNaNs(pixels, unknown)
+    return _Sight(u, v, z, tangent2, radius2)
 
 
-def _score(view: View, u: Real, v: Real, depth: Real, tangent2: Real, *, nearest_m: float) -> Real:
+def _score(view: View, sight: _Sight, *, nearest_m: float) -> Real:
     """Return (rows, columns) scores in [0, 1]: best straight below, low at the image's edge, 0 outside."""
-    camera = view.camera
+    camera, u, v, tangent2 = view.camera, sight.u, sight.v, sight.tangent2
     edge_u = np.minimum(u, camera.width - 1 - u) / np.float32(BORDER_SHARE * camera.width)
     edge_v = np.minimum(v, camera.height - 1 - v) / np.float32(BORDER_SHARE * camera.height)
     edge = np.minimum(np.minimum(edge_u, edge_v), np.float32(1.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         inside = (edge >= 0) & (tangent2 <= LARGEST_TANGENT**2)
-        score = edge * (np.float32(nearest_m) / depth) / (1.0 + tangent2 / np.float32(HALF_SCORE_TANGENT**2))
+        score = edge * (np.float32(nearest_m) / sight.depth) / (1.0 + tangent2 / np.float32(HALF_SCORE_TANGENT**2))
     score = np.where(inside, np.maximum(score, np.float32(LEAST_SCORE)), np.float32(0.0))
     if view.opaque is not None:
-        at = (np.nan_to_num(one, nan=FAR_OUTSIDE_PX) for one in (u, v))
-        score *= cv2.remap(view.opaque.astype(np.float32), *at, cv2.INTER_NEAREST)
+        score *= cv2.remap(view.opaque.astype(np.float32), u, v, cv2.INTER_NEAREST)
     return score
