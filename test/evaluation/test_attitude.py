@@ -56,3 +56,6 @@ def test_the_turn_of_the_truths_axes_is_found_whatever_the_heading_of_its_frame(
     truth = Trajectory(flight.stamps_ns, positions, quaternion_wxyz_from_rotation(R_truth))
     assert turn_between(flight, truth) == pytest.approx((np.linalg.norm(turn), 0.0), abs=1e-6)
     assert turn_between(flight, flown(0.0))[1] > 0.2  # of an estimate that has turned by mistake
+    wandering = np.array([[0.0, 0.0, 0.0], [1.0, -1.0, 0.0]])[np.arange(len(flight)) % 2] * np.ptp(positions)
+    lost = Trajectory(flight.stamps_ns, flight.positions + wandering, flight.quaternions_wxyz)
+    assert turn_between(lost, flight)[1] > 0.2  # its heading, fitted to such positions, means nothing

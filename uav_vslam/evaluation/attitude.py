@@ -37,14 +37,17 @@ def largest_turn_rad(trajectory: Trajectory) -> float:
 def turn_between(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
     """Return by how much the axes of truth are turned against those of an estimate, of equal stamps.
 
-    Headings are compared after the alignment of positions, which have to be spread over some metres.
+    Headings are compared after the alignment of positions, and tell nothing where these disagree.
 
     Returns:
-        The angle of the mean turn, and the root mean square of the poses' turns about it [rad].
+        The angle of the mean turn, and its doubt: root mean square of the poses' turns about it and of the positions'
+        errors, over their distance from their mean [rad].
     """
-    R_truth_estimate = align_yaw(estimate.positions, truth.positions).R
+    T_truth_estimate = align_yaw(estimate.positions, truth.positions)
     R_estimate, R_truth = (rotation_from_quaternion_wxyz(one.quaternions_wxyz) for one in (estimate, truth))
-    turns = np.swapaxes(R_truth_estimate @ R_estimate, -1, -2) @ R_truth
+    turns = np.swapaxes(T_truth_estimate.R @ R_estimate, -1, -2) @ R_truth
     mean = nearest_rotation(turns.sum(axis=0))
     scatter = so3_log(turns @ mean.T)
-    return float(np.linalg.norm(so3_log(mean))), float(np.sqrt(np.mean(np.sum(scatter**2, axis=-1))))
+    errors = T_truth_estimate.apply(estimate.positions) - truth.positions
+    doubt2 = np.mean(np.sum(scatter**2, axis=-1)) + np.mean(errors**2) / np.mean(truth.positions.var(axis=0))
+    return float(np.linalg.norm(so3_log(mean))), float(np.sqrt(doubt2))
