@@ -112,7 +112,8 @@ def modules() -> list[Path]:
 
 
 def part_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+    part = path.relative_to(PACKAGE).with_suffix("").parts[0]
+    return "cli" if part == "__main__" else part
 
 
 @functools.cache

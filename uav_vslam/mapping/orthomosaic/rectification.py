@@ -54,10 +54,10 @@ class _Sight:
     """How the cells of a window are seen, each attribute (rows, columns) float32.
 
     Attributes:
-        u, v: pixels; `FAR_OUTSIDE_PX` where the height is not known.
+        u, v: pixels; `FAR_OUTSIDE_PX` where the height is not known, or behind the camera.
         depth: [m], NaN there.
-        tangent2: squared tangent of the angle from the vertical; NaN there, and behind or below the camera.
-        radius2: squared distance from the principal point over the focal length; 0 there.
+        tangent2: squared tangent of the angle from the vertical; NaN above the camera, and where the height is unknown.
+        radius2: squared distance from the principal point over the focal length; 0 where u and v are far outside.
     """
 
     u: Real
@@ -197,12 +197,13 @@ def _sight(view: View, raster: Raster, heights: Real) -> _Sight:
     x, y, z = (
         axis[0] * dx + axis[1] * dy + axis[2] * dz for axis in view.T_map_cam.R.T.astype(np.float32)
     )  # axes of the camera in the map
-    camera = view.camera
+    z[~(z > 0)] = np.nan
+    x /= z
+    y /= z
     with np.errstate(divide="ignore", invalid="ignore"):
-        x /= z
-        y /= z
         tangent2 = (dx * dx + dy * dy) / (dz * dz)
-    tangent2[~((z > 0) & (dz < 0))] = np.nan
+    tangent2[~(dz < 0)] = np.nan
+    camera = view.camera
     u, v = np.float32(camera.fx) * x + np.float32(camera.cx), np.float32(camera.fy) * y + np.float32(camera.cy)
     radius2 = x * x + y * y
     for pixels, unknown in ((u, FAR_OUTSIDE_PX), (v, FAR_OUTSIDE_PX), (radius2, 0.0)):
