@@ -80,6 +80,7 @@ def test_an_input_takes_what_was_latched_before_it_came_though_it_did_not_ask(li
     assert spin_until(listener, lambda: one.follow(listener))
     assert spin_until(listener, lambda: bool(received))
     assert not one.follow(listener)
+    assert one.once  # to be asked for again by a node that dropped it before it was active
     listener.destroy_publisher(latched)
 
 

@@ -337,6 +337,35 @@ def test_a_full_disk_costs_views_and_not_the_node(make: Make, tmp_path: Path) ->
     assert "map" not in node.alarms
 
 
+def test_a_map_that_can_not_be_saved_at_the_end_is_no_success(make: Make, tmp_path: Path) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    calibrate(node)
+    fly(node, range(VIEWS))
+    with full_disk():
+        assert node.finish() == 1
+
+
+def test_tiles_that_are_gone_cost_the_picture_and_not_the_node(make: Make, tmp_path: Path) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    calibrate(node)
+    fly(node, range(LONGER))
+    tiles = node._map._drawn.tiles
+    tiles.flush()
+    tiles._cached.clear()
+    for file in tmp_path.rglob("*.bin"):
+        file.unlink()
+    node.create_subscription(PointCloud2, "map/surface", lambda _: None, LATCHED)
+    assert wait_for(lambda: node._surface.get_subscription_count() > 0)
+    node._publish()
+    assert "of the mosaic can't be read" in node.alarms["map"]
+
+
+def test_a_folder_may_be_under_home(make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No shell expands ~ after `:=`."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert make("map.folder:=~/map")._map.folder == tmp_path / "map"
+
+
 @contextmanager
 def full_disk() -> Iterator[None]:
     """Let no file grow: the kernel refuses each write, as on a full disk."""

@@ -308,6 +308,17 @@ def test_in_real_time_a_jump_causes_neither_a_burst_nor_a_pause(jump_ms: int) ->
     assert at_s[-1] == pytest.approx(3.98, abs=0.05)
 
 
+@pytest.mark.parametrize("ahead_ms", [0, 1000, 5000, -5000, 3_600_000])
+def test_in_real_time_each_vehicle_may_have_a_clock_of_its_own(ahead_ms: int) -> None:
+    now, one = [0.0], flight("uav1", frames=range(5000, 9000, 100), imu=range(5000, 9000, 10))
+    other = [replace(m, vehicle="uav2", stamp_ns=m.stamp_ns + ahead_ms * MS) for m in one]
+    recorded = [message for pair in zip(one, other, strict=True) for message in pair]
+    answers = Answers(["uav1", "uav2"], {"uav1": 0, "uav2": 0}, TOPICS)
+    at_s = [now[0] for _ in stepping(RealTime(answers, 1.0, clock=lambda: now[0]).order(recorded), now)]
+    assert max(b - a for a, b in itertools.pairwise(at_s)) < 0.02
+    assert at_s[-1] == pytest.approx(3.99, abs=0.05)
+
+
 def stepping(order: Iterator[Recorded | None], now: list[float]) -> Iterator[Recorded]:
     for released in order:
         if released is None:

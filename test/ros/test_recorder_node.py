@@ -2,6 +2,7 @@
 """The recorder says where it can't record, and when a vehicle whose nodes are there is no longer heard."""
 
 import contextlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -59,9 +60,10 @@ def test_a_vehicle_that_is_no_longer_heard_is_named(
 
 def test_an_output_in_a_place_where_nothing_can_be_made_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "disk").write_text("a file, no folder")
-    output = tmp_path / "disk" / "flights" / "1"
+    output, environment = tmp_path / "disk" / "flights" / "1", os.environ | {"HOME": str(tmp_path)}
     command = [sys.executable, "-m", "uav_vslam.ros.recorder_node", "--ros-args", "-p", "vehicles:=[uav1]"]
-    done = subprocess.run([*command, "-p", f"output:={output}"], capture_output=True, text=True)
+    given = [*command, "-p", "output:=~/disk/flights/1"]  # no shell expands ~ after `:=`
+    done = subprocess.run(given, capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert f"{output}: can't be made" in done.stderr
 

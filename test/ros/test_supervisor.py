@@ -121,6 +121,20 @@ def test_a_process_that_would_fail_again_is_not_restarted() -> None:
     assert lines == ["started with"]
 
 
+def test_a_process_that_has_run_for_long_is_restarted_whatever_it_refuses(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(supervisor, "STABLE_S", 0.0)
+    failing, resumed = dataclasses.replace(python("b", RESUMED.format(code=2)), resume=("again",)), tmp_path / "b"
+
+    def note(_: str, line: str) -> None:
+        if "again" in line:
+            resumed.touch()
+
+    leading = leader(f"Path({str(resumed)!r}).exists()")
+    assert Supervisor(restarts=True, on_line=note).run([failing, leading]) == 0
+
+
 def test_a_process_that_has_run_before_is_restarted_whatever_it_refuses(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -85,7 +85,7 @@ class Input:
             return False
         reliability = self.qos.reliability
         if matched and all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers):
-            durability = DurabilityPolicy.TRANSIENT_LOCAL
+            durability, self.once = DurabilityPolicy.TRANSIENT_LOCAL, True
         if all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
             reliability = ReliabilityPolicy.BEST_EFFORT
         # Of many latched publishers, others may come later: they would not be received any more.

@@ -22,6 +22,7 @@ from std_msgs.msg import ColorRGBA
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
+from uav_vslam.config.files import expanded
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import InvalidMessage, UavVslamError
@@ -71,9 +72,9 @@ class MapperNode(VehicleNode):
     def _new_map(self, *, beside: bool) -> FlownMap:
         """Return an empty map, if need be in a folder beside earlier ones."""
         name = self.own.map.folder
-        folder = Path(name) if name else None
+        folder = expanded(name, "map.folder") if name else None
         if folder is not None and beside:
-            others = (Path(f"{name}_{number}") for number in itertools.count(2))
+            others = (folder.with_name(f"{folder.name}_{number}") for number in itertools.count(2))
             folder = next(each for each in itertools.chain([folder], others) if not each.exists())
         if folder is not None:
             require_place(folder)
@@ -90,9 +91,11 @@ class MapperNode(VehicleNode):
         self._images, self._camera = WaitingImages(), None
 
     def finish(self) -> int:
-        """Save the whole map; return the exit code."""
+        """Save the whole map; return the exit code, 1 if that failed."""
         self._end_map()
-        return 0
+        if alarm := self.alarms.get("map"):
+            self.get_logger().error(alarm)
+        return int(bool(alarm))
 
     def _on_start(self, message: NavigationState) -> None:
         """Begin another map with another start found in flight: its poses are in a frame of their own.
@@ -134,7 +137,7 @@ class MapperNode(VehicleNode):
         view = self._camera.view(self._stamp_ns, pixels, pose_from_msg(message.pose.pose))
         try:
             self._map.add(view)
-        except OSError as error:  # tiles are written to make room for others
+        except (UavVslamError, OSError) as error:  # tiles are written to make room for others, and read again
             self._alarm(error)
             self.drop("unsaved", f"a view is missing in the map: {error}")
             return
@@ -155,7 +158,7 @@ class MapperNode(VehicleNode):
         self._published_pairs = pairs
         try:
             self._publish_map()
-        except OSError as error:  # as in `_on_pose`
+        except (UavVslamError, OSError) as error:  # as in `_on_pose`
             self._alarm(error)
         now_s = time.monotonic()
         self._idle_until_s = now_s + (now_s - begin_s) / MOST_BUSY
@@ -179,7 +182,7 @@ class MapperNode(VehicleNode):
             self._alarm(error)
 
     def _alarm(self, error: Exception) -> None:
-        self.alarms["map"] = f"the map can't be saved: {error}"
+        self.report_alarm("map", f"the map can't be saved: {error}", logged=True)
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:

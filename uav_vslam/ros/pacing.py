@@ -138,12 +138,17 @@ class RealTime:
 
     def order(self, recorded: Iterable[Recorded]) -> Iterator[Recorded | None]:
         """Yield each message when it is due, and None until then."""
-        begin_s, first_ns, newest_ns = self._clock(), None, 0
+        begins: dict[
+            str, tuple[float, int]
+        ] = {}  # by vehicle, as each has a clock of its own: a stamp, and when it was due
+        newest_ns: dict[str, int] = {}
         for message in recorded:
-            if first_ns is None or not -STEP_BACK_NS <= message.stamp_ns - newest_ns <= STEP_AHEAD_NS:
-                begin_s, first_ns = self._clock(), message.stamp_ns  # the clock was set: neither a burst nor a pause
-            newest_ns = message.stamp_ns
-            due_s = begin_s + (message.stamp_ns - first_ns) / NS_PER_S / self._rate
+            vehicle, stamp_ns = message.vehicle, message.stamp_ns
+            if vehicle not in begins or not -STEP_BACK_NS <= stamp_ns - newest_ns[vehicle] <= STEP_AHEAD_NS:
+                begins[vehicle] = self._clock(), stamp_ns  # the clock was set: neither a burst nor a pause
+            newest_ns[vehicle] = stamp_ns
+            begin_s, first_ns = begins[vehicle]
+            due_s = begin_s + (stamp_ns - first_ns) / NS_PER_S / self._rate
             while self._clock() < due_s:
                 yield None
             if message.kind in FRAME_PARTS:

@@ -14,7 +14,6 @@ and the status is ERROR; with room again, recording goes on. If it is full at th
 """
 
 import time
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -22,6 +21,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
+from uav_vslam.config.files import expanded
 from uav_vslam.config.nodes import RecorderNodeConfig
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.messages import header_stamp_ns
@@ -58,10 +58,10 @@ class RecorderNode(Node):
         output, vehicles = own.output, own.vehicles
         if not output or not vehicles:
             raise ConfigError("recorder: set the parameters output (folder to make) and vehicles (their names)")
-        require_place(Path(output))
-        Path(output).parent.mkdir(parents=True, exist_ok=True)
-        self._bag = RawRecorder(Path(output), retrying=True)
-        self._output = output
+        self._output = expanded(output, "output")
+        require_place(self._output)
+        self._output.parent.mkdir(parents=True, exist_ok=True)
+        self._bag = RawRecorder(self._output, retrying=True)
         self._written = self._dropped = 0
         self._inputs: list[Any] = []
         self._newest_s: dict[str, float] = {}  # by vehicle: when its last message came
@@ -73,7 +73,7 @@ class RecorderNode(Node):
         DiscoveryReport(self, self._unmatched)
         create_wall_timer(self, REPORT_S, self._report)
         create_wall_timer(self, PERIOD_S, self._take_messages)
-        self.get_logger().info(f"recording to {output}")
+        self.get_logger().info(f"recording to {self._output}")
 
     def finish(self) -> int:
         """Record what still waits, and close the bag; return the exit code."""
@@ -81,7 +81,7 @@ class RecorderNode(Node):
         self._take_messages()
         try:
             self._bag.close()
-        except BagError as error:
+        except (BagError, OSError) as error:  # the latter where its folder was moved
             code = 1
             self.get_logger().error(str(error))
         lost = self._bag.lost

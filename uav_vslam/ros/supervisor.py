@@ -28,7 +28,7 @@ SAVING = (*ESCALATION[:2], (60.0, signal.SIGKILL))  # where a process has a map 
 POLL_S = 0.05
 BACKOFF_S = (0.2, 1.0, 2.0, 5.0, 10.0)  # before each restart of a process; the last one for all further ones
 STABLE_S = 60.0  # a process that ran for so long is restarted without waiting again
-WRONG_INPUT = 2  # exit code of a process that would fail again, if it is the first thing it does
+WRONG_INPUT = 2  # exit code of a process that would fail again, if it comes soon after the first start
 
 
 @dataclass(slots=True)
@@ -55,6 +55,14 @@ class _Child:
     restart_at_s: float | None = None
     restarted: bool = False
     missed: bool = False
+
+    def has_refused(self, code: int) -> bool:
+        """Return whether an exit code means that the input is wrong, and would be again.
+
+        A process that has run before, or for long, had the right input: what it refuses then may come back, as a radio
+        interface or room on the disk does.
+        """
+        return code == WRONG_INPUT and not self.restarted and time.monotonic() - self.started_s < STABLE_S
 
 
 @dataclass(slots=True)
@@ -168,7 +176,7 @@ class Supervisor:
 
     def _is_missed(self, child: _Child, code: int) -> bool:
         """Go on without an optional process; return False for any other."""
-        if not child.command.optional or code == WRONG_INPUT:
+        if not child.command.optional or child.has_refused(code):
             return False
         if not child.missed:
             _log(f"{child.command.name} {describe_exit(code)}; the fleet goes on without it")
@@ -179,10 +187,8 @@ class Supervisor:
         """Restart a process that ended, when its time has come; return False if it is not to be restarted.
 
         Exit code 0 is no reason to let the others end: nobody but us should end a node, yet SIGTERM does so cleanly.
-        A process that has run before had the right input: what it refuses after a restart may come back, as a radio
-        interface or room on the disk does.
         """
-        if not self.restarts or child.command.leads or (code == WRONG_INPUT and not child.restarted):
+        if not self.restarts or child.command.leads or child.has_refused(code):
             return False
         now_s = time.monotonic()
         if child.restart_at_s is None:
