@@ -14,6 +14,7 @@ from lone_node import lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from node_processes import Witness, running  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 
 from uav_vslam.datasets.unindexed_mcap import readable_messages  # noqa: E402
 from uav_vslam.ros import recorder_node  # noqa: E402
@@ -54,6 +55,26 @@ def test_a_vehicle_that_is_no_longer_heard_is_named(
             assert witness.sees(lambda: "nothing comes from uav1 for" in witness.text(RECORDER), second_only)
             assert "uav2" not in witness.text(RECORDER)
             assert witness.sees(lambda: witness.text(RECORDER) == "recording", both)
+        finally:
+            executor.shutdown()
+
+
+def test_best_effort_publishers_are_recorded_too(domain_id: int, tmp_path: Path) -> None:
+    """As bridges of motion capture and autopilots publish the ground truth."""
+    message = Odometry()
+    message.header.stamp.sec = 1
+    with lone_node(recorder_node.RecorderNode, domain_id) as made, Witness(domain_id) as witness:
+        recorder = made(f"output:={tmp_path / 'out'}", "vehicles:=[uav1]")
+        executor = SingleThreadedExecutor()
+        executor.add_node(recorder)
+        publisher = witness.node.create_publisher(Odometry, "/uav1/ground_truth/odometry", qos_profile_sensor_data)
+
+        def publish() -> None:
+            publisher.publish(message)
+            executor.spin_once(timeout_sec=0.01)
+
+        try:
+            assert witness.sees(lambda: "uav1" in recorder._newest_s, publish)
         finally:
             executor.shutdown()
 

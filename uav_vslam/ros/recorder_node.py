@@ -30,6 +30,7 @@ from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.diagnostics import status_message
+from uav_vslam.ros.inputs import Input
 from uav_vslam.ros.message_types import type_name
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
@@ -63,7 +64,7 @@ class RecorderNode(Node):
         self._output.parent.mkdir(parents=True, exist_ok=True)
         self._bag = RawRecorder(self._output, retrying=True)
         self._written = self._dropped = 0
-        self._inputs: list[Any] = []
+        self._inputs: list[Input] = []
         self._newest_s: dict[str, float] = {}  # by vehicle: when its last message came
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for vehicle in vehicles:
@@ -92,7 +93,7 @@ class RecorderNode(Node):
     def _record(self, topic: str, message_type: Any, vehicle: str) -> None:
         name, batches = type_name(message_type), Batches(at_once=True)
 
-        def write(data: bytes, _: Any) -> None:
+        def write(data: bytes) -> None:
             batches.at_once = False  # there are messages: its QoS suits the publisher
             self._newest_s[vehicle] = time.monotonic()
             try:
@@ -104,18 +105,20 @@ class RecorderNode(Node):
                 self._dropped += 1
                 self.get_logger().error(f"not recorded: {error}", throttle_duration_sec=5.0)
 
-        self._inputs.append(
-            self.create_subscription(message_type, topic, write, SENSOR, raw=True, callback_group=batches)
-        )
+        one = Input(message_type, topic, write, SENSOR, stands_for=topic, raw=True, group=batches, shared=True)
+        one.subscribe(self)
+        self._inputs.append(one)
 
     def _take_messages(self) -> None:
         for one in self._inputs:
-            take_waiting(one)
+            take_waiting(one.subscription)
 
     def _unmatched(self) -> list[str]:
-        return [one.topic_name for one in self._inputs if one.get_publisher_count() == 0]
+        return [one.topic for one in self._inputs if one.subscription.get_publisher_count() == 0]
 
     def _report(self) -> None:
+        for one in self._inputs:
+            one.follow(self)
         if not self._bag.is_full():
             self._bag.flush()
         values = {"written": str(self._written), "dropped": str(self._dropped)}
@@ -145,7 +148,8 @@ class RecorderNode(Node):
         ]
 
     def _publishes(self, vehicle: str) -> bool:
-        return any(o.topic_name.startswith(f"/{vehicle}/") and o.get_publisher_count() for o in self._inputs)
+        topics = (one for one in self._inputs if one.topic.startswith(f"/{vehicle}/"))
+        return any(one.subscription.get_publisher_count() for one in topics)
 
 
 def main(args: list[str] | None = None) -> int:
